@@ -14,18 +14,11 @@ import typer
 from asia._text import say
 from asia.data.trajectory import Signal
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
 
 
 def certify(
+    *,
     run: RunName = None,
     u: Annotated[
         list[str] | None,
@@ -64,17 +57,15 @@ def certify(
     out: Annotated[
         Path | None, typer.Option(help="File; default: certificate.json in the run.")
     ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Prove statements on a model, or on the closed loop with a controller: stability and gains
     where they are linear, bounds of the outputs. Without a proof there is no certificate."""
     from asia.analysis.certificate_check import check_certificate
 
     if check is not None:
-        sentences = check_certificate(check)
-        for line in [jsonlib.dumps(sentences)] if json else [f"proven    {s}" for s in sentences]:
+        proven = check_certificate(check)
+        for line in [jsonlib.dumps(proven)] if options.json else [f"proven    {s}" for s in proven]:
             say(line)
         return
     from asia.analysis.certificate import certify as find
@@ -85,15 +76,14 @@ def certify(
     from asia.report.page.sections.evidence import CERTIFICATE_FILE
 
     if loop:
-        directory = run_directory(runs, run)
         content, path = _certified_loop(
-            directory, u or (), y or (), horizon, model, candidate_level(isolation)
+            options.directory(run), u or (), y or (), horizon, model, options.level
         )
-        _write(content, path if out is None else out, json=json)
+        _write(content, path if out is None else out, json=options.json)
         _exit(content, limits=bool(y))
         return
-    opened = open_run(run_directory(runs, run))
-    ready = lowered_run(opened, model, candidate_level(isolation))
+    opened = open_run(options.directory(run))
+    ready = lowered_run(opened, model, options.level)
     subject, window = ready.model, ready.windows[0]
     limits = np.array(subject.input_range, np.float64)
     _set_limits("--u", u or (), subject.inputs, limits)
@@ -110,7 +100,7 @@ def certify(
     content = find(subject.lowered, limits, start, horizon, facts, within if y else None)
     # Each experiment has a file of its own, so that their gains are compared.
     own = f"certificate-{int(model)}.json" if model and model.isdecimal() else CERTIFICATE_FILE
-    _write(content, opened.directory / own if out is None else out, json=json)
+    _write(content, opened.directory / own if out is None else out, json=options.json)
     _exit(content, limits=bool(y))
 
 

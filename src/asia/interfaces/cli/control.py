@@ -16,15 +16,7 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
 from asia.interfaces.cli.output import plain
 
 if TYPE_CHECKING:
@@ -56,6 +48,7 @@ _FAST = 0.05
 
 
 def control(
+    *,
     run: RunName = None,
     plant: Annotated[
         str | None,
@@ -133,9 +126,7 @@ def control(
         typer.Option(help="Folder for the picture and the code; default: control in the run."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the optimisation.")] = 0,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Design a PID or lead-lag controller, an LQR or a predictive controller that meets
     specifications, for the linear model of a run and of all its fold models, or for a transfer
@@ -179,10 +170,8 @@ def control(
     else:
         if sampling_time is not None:
             raise UserError("--sampling-time is for --plant: a run has its own")
-        directory = run_directory(runs, run)
-        loop = loop_of_run(
-            directory, at, model, candidate_level(isolation), continuous_time=kind == "pid"
-        )
+        directory = options.directory(run)
+        loop = loop_of_run(directory, at, model, options.level, continuous_time=kind == "pid")
         out = out or directory / ("control" if model is None else f"control-{model}")
     low, high = _limits(limits, loop.u)
     shares = None if weights is None else _weights(weights, loop)
@@ -257,14 +246,10 @@ def control(
         page = {**facts, "text": [*lines, *(f"missed    {m}" for m in missed)], "drawn": drawn}
         (out / CONTROL_FILE.name).write_text(jsonlib.dumps(page, allow_nan=False) + "\n", "utf-8")
         files.append(out / CONTROL_FILE.name)
-    if json:
+    if options.json:
         say(jsonlib.dumps(facts, allow_nan=False))
-    stream = sys.stderr if json else sys.stdout
-    for line in lines if not json else ():
-        say(line)
-    for path in files:
-        say(f"file      {path}", file=stream)
-    if json:
+    options.print(() if options.json else lines, files)
+    if options.json:
         return
     if found.violated:
         say(
