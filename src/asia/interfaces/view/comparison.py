@@ -10,12 +10,12 @@ from urllib.parse import urlencode
 from asia.agents.library.recipe import read_recipe
 from asia.errors import UserError
 from asia.interfaces.view.followed import Snapshot
-from asia.interfaces.view.pages import run_address, section, state_mark, whole_page, zoomable
+from asia.interfaces.view.pages import run_address, state_mark, whole_page, zoomable
 from asia.ledger.events import TestedModel
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.view import Experiment
 from asia.problem.problem import Problem
-from asia.report.page.html import Html, fixed, join, region, said, table, tag
+from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of, tag_labels
 from asia.report.page.sections.verdict import held_out_overlays, stamp
 from asia.report.page.subject import Subject, result_of, v_form

@@ -28,7 +28,7 @@ from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, fixed, join, region, said, table, tag
+from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import (
     experiment_story,
@@ -84,14 +84,6 @@ def whole_page(
         tag("div", id="live", class_="unseen", aria_live="polite"),
     )
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
-
-
-def section(key: str, title: str, *inner: Html | None) -> Html | None:
-    """A part of a page with its heading; None without anything in it."""
-    if all(part is None for part in inner):
-        return None
-    heading = f"h-{key}"
-    return tag("section", tag("h2", title, id=heading), *inner, id=key, aria_labelledby=heading)
 
 
 def to_pages(html: Html, name: str) -> Html:
@@ -488,13 +480,8 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     """The page of a run, with the chosen experiments."""
     subject = snapshot.subject
     start, name = subject.view.started, snapshot.run.name
-    text = (
-        "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
-        subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
-    )  # fmt: skip
-    header = tag(
-        "header", tag("h1", said(name)), tag("p", *text, " ", tag_labels(subject.view.tags()))
-    )
+    labels = tag_labels(subject.view.tags())
+    header = tag("header", tag("h1", said(name)), tag("p", subject.setting, " ", labels))
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
     others = [(one.key, one.title) for one in SECTIONS if one.key not in (*_OWN, *TABS)]
     place = [key for key, _ in others].index("tradeoff") + 1

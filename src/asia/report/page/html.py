@@ -79,6 +79,14 @@ def region(element: str, *children: str | None, label: str, **attributes: object
     return tag(element, *children, **attributes, tabindex="0", role="region", aria_label=label)
 
 
+def section(key: str, title: str, *inner: str | None) -> Html | None:
+    """A part of a page with its heading; None without anything in it."""
+    if all(part is None for part in inner):
+        return None
+    heading = f"h-{key}"
+    return tag("section", tag("h2", title, id=heading), *inner, id=key, aria_labelledby=heading)
+
+
 def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: str) -> Html:
     """A table that scrolls sideways where the page is narrow. The first column names the rows."""
     headings = [tag("th", cell, scope="col") for cell in head]

@@ -18,7 +18,7 @@ from asia.ledger.text import error_decimals
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.report.page.html import ONE, Html, follow, join, tag, write_number
+from asia.report.page.html import ONE, Html, follow, join, said, tag, write_number
 
 _NORM = "H-infinity norm"
 
@@ -158,6 +158,15 @@ class Subject:
         events = (line.event for line in self.run.lines if line.event.event == kind)
         values = [value for event in events for value in follow(event, path)]
         return write_number(values, f"{kind}:{path}", rule, form)
+
+    @property
+    def setting(self) -> Html:
+        """`problem tanks · agent expert · seed 0 · isolation namespace`."""
+        start = self.view.started
+        return join((
+            "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
+            self.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
+        ))  # fmt: skip
 
     @cached_property
     def _v_form(self) -> str:
