@@ -232,6 +232,14 @@ class SearchView:
         return self.best.value if self.best else None
 
     @property
+    def lineage(self) -> tuple[Experiment, ...]:
+        """The winner and what it was made from, the first one first; () without a winner."""
+        found = [] if self.best is None else [self.best]
+        while found and (parent := found[-1].proposed.parent) and parent < found[-1].number:
+            found.append(self.experiment(parent))
+        return tuple(reversed(found))
+
+    @property
     def failed_checks(self) -> tuple[str, ...]:
         """`#02: check ... failed: ...`: diagnostics that raised an exception, a line each."""
         events = [

@@ -60,15 +60,8 @@ class Subject:
 
     @cached_property
     def lineage(self) -> tuple[int, ...]:
-        """Numbers of the winner and of all that it was made from, the first one first; () without
-        a winner."""
-        found: list[int] = []
-        here = self.view.best
-        while here is not None and here.number not in found:
-            found.append(here.number)
-            parent = here.proposed.parent
-            here = None if parent is None else self.view.experiment(parent)
-        return tuple(reversed(found))
+        """Numbers of the winner and of all that it was made from, the first one first."""
+        return tuple(e.number for e in self.view.lineage)
 
     @cached_property
     def listed(self) -> tuple[Experiment, ...]:
