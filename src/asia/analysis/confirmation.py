@@ -32,6 +32,7 @@ from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Rep
 from asia.ledger.verification import check_lock
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
+from asia.report.simulated import fold_outputs
 from asia.search.run import LOCK, make_evaluator
 
 # Statistics of repeated fits for a confirmation: ranks, differences, expected error.
@@ -227,7 +228,7 @@ class _Confirmation:
 
     def repeat_all(self, chosen: list[Experiment]) -> None:
         """Fit all seeds of each candidate in sequence."""
-        total, done = len(chosen) * self.seeds, 0
+        total, done, folds = len(chosen) * self.seeds, 0, self.evaluator.data.folds
         known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
         with self.evaluator.workers.ready_workers():
             for experiment in chosen:
@@ -241,7 +242,7 @@ class _Confirmation:
                         seconds = time.monotonic() - begin
                         event = Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
                         if isinstance(found.outcome, Score):
-                            before = self._simulations(experiment)
+                            before = fold_outputs(self.store, experiment, folds)
                             event = replace(
                                 event,
                                 blocks=self._blocks(found.y_hats),
@@ -253,14 +254,6 @@ class _Confirmation:
                         # One repeat shows it: the others would be the same.
                         done += self.seeds - repeat
                         break
-
-    def _simulations(self, experiment: Experiment) -> list[tuple[Array, ...]]:
-        """Return the simulations of each fold's held-out blocks from the search."""
-        assert experiment.result is not None
-        return [
-            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.held_out])
-            for kept, fold in zip(experiment.result.folds, self.evaluator.data.folds, strict=True)
-        ]
 
     def _blocks(self, y_hats: Sequence[tuple[Array, ...]]) -> tuple[tuple[float, ...], ...]:
         """Parts of the held-out blocks of each fold in the score."""
@@ -277,7 +270,8 @@ class _Confirmation:
         """The first fit of a candidate and all that was repeated of it."""
         assert experiment.score is not None
         values = np.array([[fold.value for fold in experiment.score.folds]])
-        blocks = even_blocks([self._blocks(self._simulations(experiment))])
+        found = fold_outputs(self.store, experiment, self.evaluator.data.folds)
+        blocks = even_blocks([self._blocks(found)])
         repeats = tuple(
             r
             for r in self.chain.view.repeats

@@ -25,6 +25,7 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Block, whole
 from asia.problem.problem import Problem
 from asia.problem.seal import open_guard
+from asia.report.simulated import fold_outputs
 
 LiteralCheckFunction = Callable[[str, Evaluation, SearchView], LiteralCheck | None]
 """Check of the literals of a source with this evaluation."""
@@ -67,12 +68,8 @@ class LiteralExaminer:
             y_hats = [tuple(training_mean(f, b) for b in f.held_out) for f in folds]
             return Standard(1, self.problem.baseline or LINEAR, mean, y_hats)
         first = view.bests[0]
-        assert first.result is not None
         assert first.score is not None
-        y_hats = [
-            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.held_out])
-            for kept, fold in zip(first.result.folds, folds, strict=True)
-        ]
+        y_hats = fold_outputs(self.store, first, folds)
         source = self.store.text(first.proposed.source)
         return Standard(first.number, source, first.score, y_hats)
 
