@@ -21,7 +21,7 @@ from asia.judge.scoring.repeated_fits import Attribution, attribute, gain
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Ablated, AblationFit, LeftOut
-from asia.ledger.view import Experiment, SearchView
+from asia.ledger.view import Experiment
 from asia.problem.load import load_lock
 from asia.search.run import LOCK, make_evaluator
 
@@ -237,14 +237,6 @@ def ablate(
         return found, True
 
 
-def lineage(view: SearchView, winner: Experiment) -> list[Experiment]:
-    """The winner and what it was made from, the oldest first."""
-    found = [winner]
-    while (parent := found[-1].proposed.parent) is not None and parent < found[-1].number:
-        found.append(view.experiment(parent))
-    return found[::-1]
-
-
 @dataclass(frozen=True)
 class _Ablation:
     """An ablation under way."""
@@ -272,7 +264,7 @@ class _Ablation:
         has_crossing = not reason
         # The winner without each change of its lineage, or why there is no such variant.
         changes: dict[int, Variant | str] = {}
-        for before, after in pairwise(lineage(view, winner)):
+        for before, after in pairwise(view.lineage):
             number = after.number
             try:
                 source = without_change(best, self._source(before), self._source(after))

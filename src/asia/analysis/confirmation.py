@@ -228,7 +228,7 @@ class _Confirmation:
 
     def repeat_all(self, chosen: list[Experiment]) -> None:
         """Fit all seeds of each candidate in sequence."""
-        total, done = len(chosen) * self.seeds, 0
+        total, done, folds = len(chosen) * self.seeds, 0, self.evaluator.data.folds
         known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
         with self.evaluator.workers.ready_workers():
             for experiment in chosen:
@@ -242,7 +242,7 @@ class _Confirmation:
                         seconds = time.monotonic() - begin
                         event = Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
                         if isinstance(found.outcome, Score):
-                            before = fold_outputs(self.store, experiment, self.evaluator.data.folds)
+                            before = fold_outputs(self.store, experiment, folds)
                             event = replace(
                                 event,
                                 blocks=self._blocks(found.y_hats),
@@ -270,9 +270,8 @@ class _Confirmation:
         """The first fit of a candidate and all that was repeated of it."""
         assert experiment.score is not None
         values = np.array([[fold.value for fold in experiment.score.folds]])
-        blocks = even_blocks(
-            [self._blocks(fold_outputs(self.store, experiment, self.evaluator.data.folds))]
-        )
+        found = fold_outputs(self.store, experiment, self.evaluator.data.folds)
+        blocks = even_blocks([self._blocks(found)])
         repeats = tuple(
             r
             for r in self.chain.view.repeats

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
-from asia.lowering.linear import LinearModel
+from asia.lowering.linear import LinearModel, held
 from asia.lowering.program import LoweredModel
 
 # Order of Pade's approximation of a dead time in the poles of the closed loop.
@@ -55,14 +55,6 @@ _STALLED = 40
 _LAST = 3
 
 
-def product(*factors: Sequence[float] | Array) -> Array:
-    """Product of polynomials."""
-    found = np.ones(1)
-    for factor in factors:
-        found = np.asarray(np.polymul(found, factor), np.float64)
-    return found
-
-
 @dataclass(frozen=True)
 class Transfer:
     """Rational transfer function and a dead time."""
@@ -72,13 +64,6 @@ class Transfer:
     den: Array
     delay: float = 0.0
     """In s."""
-
-    def times(self, other: Transfer) -> Transfer:
-        """The series connection."""
-        return Transfer(
-            product(self.num, other.num), product(self.den, other.den),
-            self.delay + other.delay,
-        )  # fmt: skip
 
     def response(self, w: Array) -> NDArray[np.complex128]:
         """Frequency response at w in rad/s."""
@@ -102,7 +87,7 @@ class Transfer:
             factor *= self.delay * (_PADE - k + 1) / (k * (2 * _PADE - k + 1))
             num.insert(0, factor * (-1) ** k)
             den.insert(0, factor)
-        return Transfer(product(self.num, num), product(self.den, den))
+        return Transfer(np.polymul(self.num, num), np.polymul(self.den, den))
 
 
 @dataclass(frozen=True)
@@ -832,7 +817,6 @@ class SimulatedPlant:
 def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:
     """The exact sampled plant between constant inputs, from rest; the dead time need not be a
     whole number of samples."""
-    from scipy.linalg import expm
     from scipy.signal import tf2ss
 
     system: Any = tf2ss(plant.num, plant.den)
@@ -840,15 +824,9 @@ def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:
     n = len(a) if a.size else 0
     whole = int(plant.delay / sampling_time + 1e-9)
     part = max(plant.delay - whole * sampling_time, 0.0)
-
-    def held(time: float) -> tuple[Array, Array]:
-        block = np.zeros((n + 1, n + 1))
-        block[:n, :n], block[:n, n] = a[:n, :n], b[:n, 0]
-        moved = np.asarray(expm(block * time), np.float64)
-        return moved[:n, :n], moved[:n, n]
-
-    (move, _), (rest, new), (_, old) = held(sampling_time), held(sampling_time - part), held(part)
-    old = rest @ old
+    times = (sampling_time, sampling_time - part, part)
+    (move, _), (rest, new), (_, old) = (held(a[:n, :n], b[:n, :1], time) for time in times)
+    new, old = new[:, 0], (rest @ old)[:, 0]
 
     def step(state: Array, u: float) -> tuple[float, Array]:
         x, inputs = state[:n], np.append(u, state[n:])

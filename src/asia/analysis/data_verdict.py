@@ -104,7 +104,7 @@ def judge_data(problem: Problem, report: CheckReport) -> DataVerdict:
         doubts.append(Doubt(text, 0.4))
     else:
         _judge_linear(problem, report, linear, doubts, merits)
-    _judge_levels(problem, report, linear, doubts, merits)
+    _judge_levels(problem, linear, doubts, merits)
     doubts.sort(key=lambda one: -one.weight)
     worst = doubts[0].weight if doubts else 0.0
     verdict: Verdict = (
@@ -237,7 +237,6 @@ def _judge_linear(
 
 def _judge_levels(
     problem: Problem,
-    report: CheckReport,
     linear: LinearEvidence | None,
     doubts: list[Doubt],
     merits: list[str],

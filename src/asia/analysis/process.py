@@ -19,7 +19,7 @@ import numpy as np
 from asia.candidate import ParameterEstimate
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
-from asia.lowering.linear import ProcessModel
+from asia.lowering.linear import ProcessModel, held
 from asia.models import uncertainty
 
 # Samples that a fit takes from the records, from the first on.
@@ -339,33 +339,23 @@ class _Chain:
         self.a, self.b, self.c, self.lags = a, b, c, lags
         self.integrator = structure.integrator
 
-    def _held(self, time: float) -> tuple[Array, Array]:
-        """exp(A t), and the effect of an input of 1 that is held for the time."""
-        from scipy.linalg import expm
-
-        n = len(self.a)
-        whole = np.zeros((n + 1, n + 1))
-        whole[:n, :n], whole[:n, n:] = self.a, self.b
-        found = np.asarray(expm(whole * time), np.float64)
-        return found[:n, :n], found[:n, n]
-
     def outputs(self, u: Array, delay: float) -> list[Array]:
         """Outputs (T,), one a row of C, from rest."""
         whole = int(delay)
         late = delay - whole
-        power, _ = self._held(1.0)
-        after, now = self._held(1.0 - late)
-        before = after @ self._held(late)[1]
+        power, _ = held(self.a, self.b, 1.0)
+        after, now = held(self.a, self.b, 1.0 - late)
+        before = after @ held(self.a, self.b, late)[1]
         state, impulse = np.zeros(len(self.a)), np.zeros((len(self.a) + 2, len(self.c)))
         for k in range(len(impulse)):
             impulse[k] = self.c @ state
-            state = power @ state + (now if k == 0 else before if k == 1 else 0.0)
+            state = power @ state + (now[:, 0] if k == 0 else before[:, 0] if k == 1 else 0.0)
         late_u = np.concatenate([np.zeros(whole), u])[: len(u)]
         return [self._filtered(response, late_u) for response in impulse.T]
 
     def decays(self, samples: int) -> list[Array]:
         """Free responses (T,) of the lags at the output; that of an integrator is a constant."""
-        power, _ = self._held(1.0)
+        power, _ = held(self.a, self.b, 1.0)
         state = np.eye(len(self.a))[:, : len(self.lags)]
         first = np.empty((len(self.a) + 1, len(self.lags)))
         for k in range(len(first)):

@@ -47,8 +47,9 @@ class Target(Protocol):
     """Instructions for the files, some lines of Markdown."""
 
     def missing(self) -> str | None:
-        """Requirement that is not installed, as a sentence; None if printing is possible."""
-        ...
+        """Requirement that is not installed, as a sentence; None if printing is possible, as it is
+        without a requirement."""
+        return None
 
     def print(self, model: ExportModel) -> Printed:
         """Print the files. Raises UserError if this target cannot hold the model."""

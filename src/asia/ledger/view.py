@@ -79,6 +79,11 @@ class Experiment:
         return outcome if isinstance(outcome, Score) else None
 
     @property
+    def value(self) -> float | None:
+        """V, when there is a score."""
+        return self.score.value if self.score else None
+
+    @property
     def failure(self) -> Failure | None:
         """The failure, when there is one."""
         outcome = self.result.outcome if self.result else None
@@ -226,6 +231,19 @@ class SearchView:
         """The experiment whose models are handed over."""
         bests = self.bests
         return bests[-1] if bests else None
+
+    @property
+    def best_value(self) -> float | None:
+        """V of `best`; None where no candidate has a score."""
+        return self.best.value if self.best else None
+
+    @property
+    def lineage(self) -> tuple[Experiment, ...]:
+        """The winner and what it was made from, the first one first; () without a winner."""
+        found = [] if self.best is None else [self.best]
+        while found and (parent := found[-1].proposed.parent) and parent < found[-1].number:
+            found.append(self.experiment(parent))
+        return tuple(reversed(found))
 
     @property
     def failed_checks(self) -> tuple[str, ...]:

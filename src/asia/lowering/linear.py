@@ -548,6 +548,17 @@ def fold_band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
     return every.min(axis=0), every.max(axis=0)
 
 
+def held(a: Array, b: Array, time: float) -> tuple[Array, Array]:
+    """exp(A t), and the effect (n, nu) of inputs of x' = A x + B u that are held for a time."""
+    from scipy.linalg import expm
+
+    n, nu = b.shape
+    both = np.zeros((n + nu, n + nu))
+    both[:n, :n], both[:n, n:] = a, b
+    moved = np.asarray(expm(time * both), np.float64)
+    return moved[:n, :n], moved[:n, n:]
+
+
 def largest_gain(model: LinearModel) -> float:
     """Largest singular value of the frequency response; infinite with an integrator."""
     if is_integrating(model):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from asia.data.frequency import ComplexArray, FrequencyRecord
 from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.lowering.linear import LinearModel
+from asia.lowering.linear import LinearModel, held
 
 _FOLDS, _LARGEST = 3, 24
 # A smaller order is taken while its held-out error is at most this much larger than the least one.
@@ -392,26 +392,15 @@ def sampled_response(fit: FrequencyFit, sampling_time: float) -> FrequencyRecord
     The hold multiplies the measured response; what it folds back from above half the sampling
     frequency, a small part, is that of the model.
     """
-    from scipy.linalg import expm
-
     record, model = fit.record, fit.model
     if record.sampling_time:
         return record
-    n, nu = model.b.shape
     whole, part = divmod(fit.delay / sampling_time, 1.0)
-
-    def held(time: float) -> tuple[Array, Array]:
-        """Transition and effect of a constant input over a time."""
-        both = np.zeros((n + nu, n + nu))
-        both[:n] = np.hstack([model.a, model.b])
-        moved = np.asarray(expm(time * both), np.float64)
-        return moved[:n, :n], moved[:n, n:]
-
-    a, full = held(sampling_time)
-    _, late = held((1.0 - part) * sampling_time)
+    a, full = held(model.a, model.b, sampling_time)
+    _, late = held(model.a, model.b, (1.0 - part) * sampling_time)
     turn = 2j * np.pi * record.frequency * sampling_time
     z = np.exp(turn)[:, None, None]
-    driven = np.linalg.solve(z * np.eye(n) - a, late + (full - late) / z)
+    driven = np.linalg.solve(z * np.eye(len(a)) - a, late + (full - late) / z)
     sampled = (model.c @ driven + model.d * (1.0 / z if part > 0 else 1.0)) * z**-whole
     with np.errstate(all="ignore"):
         hold = np.where(turn == 0, 1.0, (1.0 - np.exp(-turn)) / turn)[:, None, None]

@@ -467,17 +467,11 @@ def _reached(views: Mapping[str, Mapping[int, SearchView]]) -> tuple[Reached, ..
             continue
         counts: list[int | None] = []
         for seed in seeds:
-            goal = best_value(of_control[seed])
+            goal = of_control[seed].best_value
             scored = ((e.number, e.score.value) for e in views[arm][seed].finished if e.score)
             counts.append(next((n for n, v in scored if goal is not None and v <= goal), None))
         answer.append(Reached(arm, control, seeds, tuple(counts)))
     return tuple(answer)
-
-
-def best_value(view: SearchView) -> float | None:
-    """The best V of a search; None where no candidate has a score."""
-    best = view.best
-    return best.score.value if best is not None and best.score is not None else None
 
 
 # Tables for people: aligned Markdown that reads as well on a terminal.
@@ -579,7 +573,7 @@ def paired_table(runs: Sequence[FinishedSearch]) -> TextTable | None:
     two-sided p of Wilcoxon's signed-rank test on the logarithms.
     """
     names = list(dict.fromkeys(run.planned.arm.name for run in runs))
-    best = {(run.planned.arm.name, run.planned.seed): best_value(run.view) for run in runs}
+    best = {(run.planned.arm.name, run.planned.seed): run.view.best_value for run in runs}
     seeds = sorted({run.planned.seed for run in runs})
     rows: list[tuple[str, ...]] = []
     for first, second in itertools.combinations(names, 2):
@@ -805,7 +799,7 @@ def draw(
         curves: dict[Arm, list[Curve]] = {}
         for run in own:
             if run.planned.arm.fixed is None:
-                values = tuple(e.score.value if e.score else None for e in run.view.finished)
+                values = tuple(e.value for e in run.view.finished)
                 curves.setdefault(run.planned.arm, []).append(Curve(values))
         if not curves:
             continue

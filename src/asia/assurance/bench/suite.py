@@ -14,7 +14,6 @@ from asia.assurance.bench.comparison import (
     TextTable,
     Watcher,
     bench,
-    best_value,
 )
 from asia.errors import UserError
 from asia.ledger.chain import write_whole
@@ -169,7 +168,7 @@ def _search(
     (run,) = plan.searches
     view = open_run(plan.runs / run.name).view
     board = read_board(plan.problem, view)
-    return BenchmarkResult(plan.problem.name, best_value(view), len(view.finished), board)
+    return BenchmarkResult(plan.problem.name, view.best_value, len(view.finished), board)
 
 
 def _table(results: Sequence[BenchmarkResult]) -> TextTable:

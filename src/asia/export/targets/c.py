@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from asia.analysis.monitor import INCREASE, Observer
 from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.target import Answers
+from asia.export.target import Answers, Target
 from asia.export.targets.indices import Places, inside_places, kept_axes, slices, source_places
 from asia.lowering.program import Node, Program, Shape
 
@@ -49,21 +48,13 @@ NO_FLOAT = (
 
 def header(model: ExportModel) -> str:
     """Text of `model.h`."""
+    states = sum(math.prod(s) for s in model.lowered.states)
+    return template("model.h", **_about(model), STATES=max(states, 1))
+
+
+def _about(model: ExportModel) -> dict[str, object]:
+    """What both headers say of a model and its signals."""
     low = model.lowered
-    return template(
-        "model.h",
-        TITLE=_plain(f"{model.problem}: {model.use} of run {model.name}"),
-        SIGNALS=_signal_rows(model),
-        SAMPLING_TIME=repr(model.sampling_time),
-        NU=low.nu,
-        NY=low.ny,
-        PAST_U=low.n_past_u,
-        PAST_Y=low.n_past_y,
-        STATES=max(sum(math.prod(s) for s in low.states), 1),
-    )
-
-
-def _signal_rows(model: ExportModel) -> str:
     rows = [
         f" * {side} {i}: {_plain(s.name)} {_plain(s.unit)}, trained from {a:g} to {b:g}"
         for side, signals, span in (
@@ -72,7 +63,15 @@ def _signal_rows(model: ExportModel) -> str:
         )
         for i, (s, (a, b)) in enumerate(zip(signals, span.tolist(), strict=True))
     ]
-    return "\n".join(rows)
+    return {
+        "TITLE": _plain(f"{model.problem}: {model.use} of run {model.name}"),
+        "SIGNALS": "\n".join(rows),
+        "SAMPLING_TIME": repr(model.sampling_time),
+        "NU": low.nu,
+        "NY": low.ny,
+        "PAST_U": low.n_past_u,
+        "PAST_Y": low.n_past_y,
+    }
 
 
 def _names(signals: Sequence[Signal]) -> str:
@@ -533,7 +532,7 @@ _HELPERS = {
 }
 
 
-class CTarget:
+class CTarget(Target):
     """Target `c`: `model.c`, `model.h`, `main.c`, `Makefile`, `example.csv`."""
 
     name = "c"
@@ -547,10 +546,6 @@ asia_update(&x, u);                   /* to the next sample; asia_step does both
 numbers are `float`; where that differs too much, `model.h` refuses it. The functions use no heap
 and no global variables. Do not compile with `-ffast-math`: a value that is no number must stay
 one."""
-
-    def missing(self) -> str | None:
-        """Return None: printing needs nothing."""
-        return None
 
     def print(self, model: ExportModel) -> Printed:
         """Print the files; the sizes are those of `double`."""
@@ -681,9 +676,9 @@ def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
         FACTOR=repr(0.5 * (1.0 - 1.0 / INCREASE)),
         LOSS=repr(0.5 * math.log(INCREASE)),
     )
-    title = _plain(f"{model.problem}: {model.use} of run {model.name}")
+    about = _about(model)
     source = [
-        f"/* {title}: observer. */",
+        f"/* {about['TITLE']}: observer. */",
         '#include "observer.h"',
         "#include <string.h>",
         "#undef ASIA_FLOAT",
@@ -697,13 +692,7 @@ def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
     printed += [column for name in names for column in (name, f"{name}_deviation")] + ["since"]
     made = template(
         "observer.h",
-        TITLE=title,
-        SIGNALS=_signal_rows(model),
-        SAMPLING_TIME=repr(model.sampling_time),
-        NU=low.nu,
-        NY=low.ny,
-        PAST_U=low.n_past_u,
-        PAST_Y=low.n_past_y,
+        **about,
         N=n,
         P=len(named),
         THRESHOLD=f"{observer.threshold:.4g}",
@@ -724,26 +713,45 @@ def observed(
 ) -> tuple[list[Array], float]:
     """Compile the files of `observer_files` and run them on windows: results (H, width) as
     `observer_harness.c` writes them, and the seconds of all."""
+    calls = [((w.past_u, w.past_y, w.u, w.y), (len(w.u), width)) for w in windows]
+    return _called(compiler, folder / "observer.c", "observer_harness.c", "asia_observe", calls)
+
+
+def _called(
+    compiler: str,
+    source: Path,
+    harness: str,
+    name: str,
+    calls: Sequence[tuple[Sequence[Array], tuple[int, ...]]],
+    *,
+    single: bool = False,
+) -> tuple[list[Array], float]:
+    """Compile a file with a template that has a function, and call it with arrays.
+
+    Args:
+        calls: arrays that it reads, and shape of the one that it fills, whose rows it counts
+
+    Returns:
+        What it fills, and the seconds of all calls.
+    """
+    kind, real = (np.float32, ctypes.c_float) if single else (np.float64, ctypes.c_double)
     with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
-        harness, library = Path(made) / "harness.c", Path(made) / "observer.so"
-        harness.write_text(template("observer_harness.c"))
-        words = [*FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "observer.c")]
-        words += [str(harness), "-o", str(library), "-lm"]
+        own, library = Path(made) / "harness.c", Path(made) / "model.so"
+        own.write_text(template(harness))
+        words = [*FLAGS, "-fPIC", "-shared", f"-I{source.parent}", str(source), str(own)]
+        words += ["-o", str(library), "-lm", *(["-DASIA_FLOAT"] if single else [])]
         compile_c(compiler, words, Path(made), "C")
-        run = ctypes.CDLL(str(library)).asia_observe
-        run.argtypes = [*[ctypes.POINTER(ctypes.c_double)] * 5, ctypes.c_long]
+        run = ctypes.CDLL(str(library))[name]
         run.restype = None
         found: list[Array] = []
         seconds = 0.0
-        for window in windows:
-            each = window.past_u, window.past_y, window.u, window.y
-            arrays = [np.ascontiguousarray(a, np.float64) for a in each]
-            arrays.append(np.empty((len(window.u), width)))
-            pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in arrays]
+        for read, shape in calls:
+            arrays = [*(np.ascontiguousarray(a, kind) for a in read), np.empty(shape, kind)]
+            pointers = [a.ctypes.data_as(ctypes.POINTER(real)) for a in arrays]
             begin = time.perf_counter()
-            run(*pointers, len(window.u))
+            run(*pointers, ctypes.c_long(len(arrays[-1])))
             seconds += time.perf_counter() - begin
-            found.append(arrays[-1])
+            found.append(arrays[-1].astype(np.float64))
         return found, seconds
 
 
@@ -770,29 +778,10 @@ def _function(
 def _simulated(
     compiler: str, folder: Path, windows: Sequence[TrainingWindow], *, single: bool
 ) -> Answers:
-    with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
-        # A library of the functions and of one that runs a whole simulation.
-        harness, library = Path(made) / "harness.c", Path(made) / "model.so"
-        harness.write_text(template("harness.c"))
-        words = [*FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c"), str(harness)]
-        words += ["-o", str(library), "-lm", *(["-DASIA_FLOAT"] if single else [])]
-        compile_c(compiler, words, Path(made), "C")
-        kind, real = (np.float32, ctypes.c_float) if single else (np.float64, ctypes.c_double)
-        run = ctypes.CDLL(str(library)).asia_run
-        run.argtypes = [*[ctypes.POINTER(real)] * 4, ctypes.c_long]
-        run.restype = None
-        y_hat: list[Array] = []
-        seconds = 0.0
-        for window in windows:
-            arrays: list[Any] = [
-                np.ascontiguousarray(a, kind) for a in (window.past_u, window.past_y, window.u)
-            ]
-            y = np.empty(window.y_hat.shape, kind)
-            pointers = [a.ctypes.data_as(ctypes.POINTER(real)) for a in (*arrays, y)]
-            begin = time.perf_counter()
-            run(*pointers, len(y))
-            seconds += time.perf_counter() - begin
-            y_hat.append(y.astype(np.float64))
+    calls = [((w.past_u, w.past_y, w.u), w.y_hat.shape) for w in windows]
+    y_hat, seconds = _called(
+        compiler, folder / "model.c", "harness.c", "asia_run", calls, single=single
+    )
     if not single:
         return Answers("double", tuple(y_hat), seconds)
     refused = (folder / "model.h").read_text().replace(FLOAT, NO_FLOAT).encode()

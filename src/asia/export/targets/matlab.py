@@ -16,7 +16,7 @@ import numpy as np
 
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.target import Answers
+from asia.export.target import Answers, Target
 from asia.export.targets.indices import (
     inside_places,
     joined_places,
@@ -58,7 +58,7 @@ save('-v6', '{found}', 'y', 'seconds');
 """
 
 
-class MatlabTarget:
+class MatlabTarget(Target):
     """Target `matlab`: `asia_initial.m`, `asia_output.m`, `asia_update.m`, `asia_step.m`,
     `asia_simulate.m`, `asia_constants.mat`."""
 
@@ -71,10 +71,6 @@ x = asia_update(x, u(1, :));                     % [y1, x] = asia_step(x, u(1, :
 ```
 `x` is a column. Octave runs the files too. In Simulink, call `asia_step` from a MATLAB Function
 block or import the target fmu."""
-
-    def missing(self) -> str | None:
-        """Return None: printing needs nothing."""
-        return None
 
     def print(self, model: ExportModel) -> Printed:
         """Print the files."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.target import Answers
+from asia.export.target import Answers, Target
 from asia.lowering.program import LoweredModel, Node, Program
 
 _SYMBOLS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "matmul": "@"}
@@ -30,7 +30,7 @@ _WIDEST = 76
 _FILE = "model.py"
 
 
-class NumpyTarget:
+class NumpyTarget(Target):
     """Target `numpy`: `model.py`."""
 
     name = "numpy"
@@ -40,10 +40,6 @@ y_hat = simulate(past_u, past_y, u)      # (n_past_u, nu), (n_past_y, ny), (H, n
 ```
 Sample by sample: `x = initial(past_u, past_y, u)`, then `y = output(x, u)` and
 `x = update(x, u)`, where `u` (nu,) is the input of the present sample."""
-
-    def missing(self) -> str | None:
-        """Return None: NumPy is always installed."""
-        return None
 
     def print(self, model: ExportModel) -> Printed:
         """Print `model.py`."""

@@ -54,8 +54,7 @@ class SearchLines:
 
     def on_end(self, run: PlannedRun, view: SearchView) -> None:
         """Print the best V of the search."""
-        best = view.best
-        value = best.score.value if best is not None and best.score is not None else None
+        value = view.best_value
         text = "no candidate has a score" if value is None else f"best V {error_value(value)}"
         self.print(f"    {text} after {len(view.finished)} experiments")
         if self.json:

@@ -14,18 +14,11 @@ import typer
 from asia._text import say
 from asia.data.trajectory import Signal
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
 
 
 def certify(
+    *,
     run: RunName = None,
     u: Annotated[
         list[str] | None,
@@ -64,17 +57,15 @@ def certify(
     out: Annotated[
         Path | None, typer.Option(help="File; default: certificate.json in the run.")
     ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Prove statements on a model, or on the closed loop with a controller: stability and gains
     where they are linear, bounds of the outputs. Without a proof there is no certificate."""
     from asia.analysis.certificate_check import check_certificate
 
     if check is not None:
-        sentences = check_certificate(check)
-        for line in [jsonlib.dumps(sentences)] if json else [f"proven    {s}" for s in sentences]:
+        proven = check_certificate(check)
+        for line in [jsonlib.dumps(proven)] if options.json else [f"proven    {s}" for s in proven]:
             say(line)
         return
     from asia.analysis.certificate import certify as find
@@ -85,15 +76,14 @@ def certify(
     from asia.report.page.sections.evidence import CERTIFICATE_FILE
 
     if loop:
-        directory = run_directory(runs, run)
         content, path = _certified_loop(
-            directory, u or (), y or (), horizon, model, candidate_level(isolation)
+            options.directory(run), u or (), y or (), horizon, model, options.level
         )
-        _write(content, path if out is None else out, json=json)
+        _write(content, path if out is None else out, json=options.json)
         _exit(content, limits=bool(y))
         return
-    opened = open_run(run_directory(runs, run))
-    ready = lowered_run(opened, model, candidate_level(isolation))
+    opened = open_run(options.directory(run))
+    ready = lowered_run(opened, model, options.level)
     subject, window = ready.model, ready.windows[0]
     limits = np.array(subject.input_range, np.float64)
     _set_limits("--u", u or (), subject.inputs, limits)
@@ -101,28 +91,39 @@ def certify(
     _set_limits("--y", y or (), subject.outputs, within)
     first = np.clip(window.u[0], limits[:, 0], limits[:, 1])
     start = joined(evaluate(subject.lowered.initial, [window.past_u, window.past_y, first]))
-    spans = ", ".join(
-        f"{s.label} from {low:g} to {high:g}"
-        for s, (low, high) in zip(subject.inputs, limits.tolist(), strict=True)
-    )
-    facts: dict[str, Any] = {
-        "run": subject.name,
-        "model": subject.use,
-        "inputs": [(one.name, one.unit) for one in subject.inputs],
-        "outputs": [(one.name, one.unit) for one in subject.outputs],
-        "assumptions": [
-            f"inputs: any sequence with {spans}, held over {subject.sampling_time:g} s",
-            "start: the state before the first training window; the box holds it",
-            "the statements are about the model, not about the system: model errors and noise "
-            "are not part of them",
-            "library functions err by less than 8 units in the last place",
-        ],
-    }
+    facts = _facts(
+        subject.name, subject.use, subject.inputs, subject.outputs, limits, subject.sampling_time,
+        "start: the state before the first training window; the box holds it",
+        "the statements are about the model, not about the system: model errors and noise are not "
+        "part of them",
+    )  # fmt: skip
     content = find(subject.lowered, limits, start, horizon, facts, within if y else None)
     # Each experiment has a file of its own, so that their gains are compared.
     own = f"certificate-{int(model)}.json" if model and model.isdecimal() else CERTIFICATE_FILE
-    _write(content, opened.directory / own if out is None else out, json=json)
+    _write(content, opened.directory / own if out is None else out, json=options.json)
     _exit(content, limits=bool(y))
+
+
+def _facts(
+    run: str, model: str, inputs: Sequence[Signal], outputs: Sequence[Signal], limits: np.ndarray,
+    sampling_time: float, *assumptions: str,
+) -> dict[str, Any]:  # fmt: skip
+    """What a certificate says of its model. limits: of the inputs (nu, 2)."""
+    spans = ", ".join(
+        f"{s.label} from {low:g} to {high:g}"
+        for s, (low, high) in zip(inputs, limits.tolist(), strict=True)
+    )
+    return {
+        "run": run,
+        "model": model,
+        "inputs": [(one.name, one.unit) for one in inputs],
+        "outputs": [(one.name, one.unit) for one in outputs],
+        "assumptions": [
+            f"inputs: any sequence with {spans}, held over {sampling_time:g} s",
+            *assumptions,
+            "library functions err by less than 8 units in the last place",
+        ],
+    }
 
 
 def _write(content: dict[str, Any], path: Path, *, json: bool) -> None:
@@ -189,23 +190,13 @@ def _certified_loop(
     _set_limits("--u", u, signals, limits)
     within = np.tile([-np.inf, np.inf], (2, 1))
     _set_limits("--y", y, (output, given), within)
-    spans = ", ".join(
-        f"{s.label} from {low:.6g} to {high:.6g}"
-        for s, (low, high) in zip(signals, limits.tolist(), strict=True)
-    )
-    facts: dict[str, Any] = {
-        "run": plants.name,
-        "model": f"loop of {made['structure']} with {', '.join(plants.labels)}",
-        "inputs": [(one.name, one.unit) for one in signals],
-        "outputs": [(one.name, one.unit) for one in (output, given)],
-        "assumptions": [
-            f"inputs: any sequence with {spans}, held over {controller.sampling_time:g} s",
-            f"start: at rest with {given.label} at {controller.u0:.6g}; the box holds it",
-            "the statements are about these models, not about the system: model errors and noise "
-            "beyond these limits are not part of them",
-            "library functions err by less than 8 units in the last place",
-        ],
-    }
+    facts = _facts(
+        plants.name, f"loop of {made['structure']} with {', '.join(plants.labels)}", signals,
+        (output, given), limits, controller.sampling_time,
+        f"start: at rest with {given.label} at {controller.u0:.6g}; the box holds it",
+        "the statements are about these models, not about the system: model errors and noise "
+        "beyond these limits are not part of them",
+    )  # fmt: skip
     content = certify_loop(
         plants, controller, limits, horizon, facts, within if y else None,
         lambda line: say(line, file=sys.stderr, flush=True),

@@ -16,15 +16,8 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
+from asia.interfaces.cli.output import plain
 
 if TYPE_CHECKING:
     from asia.analysis.control import (
@@ -39,6 +32,9 @@ if TYPE_CHECKING:
     from asia.ledger.evidence import DrawnCheck
     from asia.lowering.program import LoweredModel
 
+_LOOP_FIGURES = (
+    "stable", "gain_margin", "phase_margin", "settling", "overshoot", "steady_state",
+)  # fmt: skip
 # Files of the controller.
 _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
 _KINDS = ("pid", "lqr", "mpc")
@@ -52,6 +48,7 @@ _FAST = 0.05
 
 
 def control(
+    *,
     run: RunName = None,
     plant: Annotated[
         str | None,
@@ -129,9 +126,7 @@ def control(
         typer.Option(help="Folder for the picture and the code; default: control in the run."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the optimisation.")] = 0,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Design a PID or lead-lag controller, an LQR or a predictive controller that meets
     specifications, for the linear model of a run and of all its fold models, or for a transfer
@@ -139,6 +134,7 @@ def control(
     from asia.analysis.control import (
         Limits,
         Loop,
+        SampledController,
         Specification,
         Transfer,
         design_in_simulation,
@@ -174,10 +170,8 @@ def control(
     else:
         if sampling_time is not None:
             raise UserError("--sampling-time is for --plant: a run has its own")
-        directory = run_directory(runs, run)
-        loop = loop_of_run(
-            directory, at, model, candidate_level(isolation), continuous_time=kind == "pid"
-        )
+        directory = options.directory(run)
+        loop = loop_of_run(directory, at, model, options.level, continuous_time=kind == "pid")
         out = out or directory / ("control" if model is None else f"control-{model}")
     low, high = _limits(limits, loop.u)
     shares = None if weights is None else _weights(weights, loop)
@@ -212,11 +206,12 @@ def control(
     facts["sampling_time"] = loop.sampling_time
     facts["model"] = f"experiment {model}" if model else "the model to use"
     facts["responses"] = [
-        {"model": one.name, **{k: v if math.isfinite(v) else None for k, v in asdict(f).items()}}
+        {"model": one.name, **plain(asdict(f))}
         for one, f in zip(loop.simulated, judged, strict=True)
     ]
     facts["missed_in_simulation"] = missed
-    facts |= {"kind": kind, "at": at, "setpoint": loop.setpoint, "controller": _numbers(controller)}
+    numbers = {one.name: getattr(controller, one.name) for one in fields(SampledController)}
+    facts |= {"kind": kind, "at": at, "setpoint": loop.setpoint, "controller": plain(numbers)}
     lines = _lines(loop, found, each, judged)
     if noisy is not None:
         moved = float(np.nanstd(noisy[1] - responses[0][1]))
@@ -251,14 +246,10 @@ def control(
         page = {**facts, "text": [*lines, *(f"missed    {m}" for m in missed)], "drawn": drawn}
         (out / CONTROL_FILE.name).write_text(jsonlib.dumps(page, allow_nan=False) + "\n", "utf-8")
         files.append(out / CONTROL_FILE.name)
-    if json:
+    if options.json:
         say(jsonlib.dumps(facts, allow_nan=False))
-    stream = sys.stderr if json else sys.stdout
-    for line in lines if not json else ():
-        say(line)
-    for path in files:
-        say(f"file      {path}", file=stream)
-    if json:
+    options.print(() if options.json else lines, files)
+    if options.json:
         return
     if found.violated:
         say(
@@ -270,20 +261,6 @@ def control(
         say(f"missed    {one}")
     if found.violated or missed:
         raise typer.Exit(1)
-
-
-def _numbers(controller: SampledController) -> dict[str, Any]:
-    """Matrices, operating point and limits of a controller; None for no limit."""
-    from asia.analysis.control import SampledController as Controller
-
-    found: dict[str, Any] = {}
-    for one in fields(Controller):
-        value = getattr(controller, one.name)
-        if isinstance(value, np.ndarray):
-            found[one.name] = value.tolist()
-        else:
-            found[one.name] = float(value) if math.isfinite(value) else None
-    return found
 
 
 def _drawn(loop: Loop, responses: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> list[DrawnCheck]:
@@ -591,9 +568,6 @@ def _pid_lines(one: Transfer) -> list[str]:
 
 
 def _facts(name: str, found: Design, each: list[LoopFigures]) -> dict[str, Any]:
-    def finite(value: float) -> float | None:
-        return float(value) if math.isfinite(value) else None
-
     one = found.controller
     gains = None if one is None else pid_gains(one)
     return {
@@ -603,16 +577,6 @@ def _facts(name: str, found: Design, each: list[LoopFigures]) -> dict[str, Any]:
         "num": None if one is None else one.num.tolist(),
         "den": None if one is None else one.den.tolist(),
         "pid": None if gains is None else dict(zip(("Kp", "Ki", "Kd", "Tf"), gains, strict=True)),
-        "loops": [
-            {
-                "stable": one.stable,
-                "gain_margin": finite(one.gain_margin),
-                "phase_margin": finite(one.phase_margin),
-                "settling": finite(one.settling),
-                "overshoot": finite(one.overshoot),
-                "steady_state": finite(one.steady_state),
-            }
-            for one in each
-        ],
+        "loops": [{name: plain(getattr(one, name)) for name in _LOOP_FIGURES} for one in each],
         "missed": list(found.violated),
     }

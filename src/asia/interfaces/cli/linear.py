@@ -15,6 +15,7 @@ import typer
 from asia._text import say
 from asia.errors import UserError
 from asia.interfaces.cli.options import RunOptions
+from asia.interfaces.cli.output import plain
 
 # Greatest number of inputs for which process models are fitted to records.
 _MOST_INPUTS = 3
@@ -83,8 +84,8 @@ def linear(
     """Print order, poles, gains and delays of a model at operating points, and draw its Bode plot
     and step response; also smaller, in continuous time or as a transfer function. With a file of a
     frequency response, fit a linear model to it."""
+    from asia.data.intake.frequency import read_frequency_response
     from asia.export.linear import linearize
-    from asia.report.files import save
     from asia.report.page.sections.evidence import LINEAR_FILE
     from asia.report.pictures.analysis import draw_linear
 
@@ -94,7 +95,7 @@ def linear(
         _of_file(Path(run), out, options)
         return
     directory = options.directory(run)
-    given = _responses(response or ())
+    given = [read_frequency_response(path) for path in response or ()]
     found = linearize(directory, at or (), model, isolation=options.level)
     compared = _compared(found, given)
     fitted = _fitted(found) if to_tf else []
@@ -113,18 +114,30 @@ def linear(
         lines += [*_lines(found, point, values), *(line for one in measured for line in one.lines)]
     lines += _fitted_lines(found, fitted)
     facts["text"], facts["drawn"] = lines, [asdict(one) for one in _drawn(found)]
-    folder = directory / LINEAR_FILE.parent if out is None else out
-    folder.mkdir(parents=True, exist_ok=True)
-    text = jsonlib.dumps(_plain(facts), allow_nan=False)
-    (folder / LINEAR_FILE.name).write_text(text + "\n", "utf-8")
     drawn = [(one.name, one.model, one.folds) for one in found.points]
-    failed: list[str] = []
     pictures = [("linear", lambda: draw_linear(drawn, found.inputs, found.outputs))]
     pictures += [one.picture for measured in compared for one in measured]
+    _write(facts, pictures, directory / LINEAR_FILE.parent if out is None else out, options)
+
+
+def _write(
+    facts: dict[str, Any],
+    pictures: Sequence[tuple[str, Callable[[], Figure]]],
+    folder: Path,
+    options: RunOptions,
+) -> None:
+    """Write linear.json and the pictures, and print the lines of `text`."""
+    from asia.report.files import save
+    from asia.report.page.sections.evidence import LINEAR_FILE
+
+    folder.mkdir(parents=True, exist_ok=True)
+    text = jsonlib.dumps(plain(facts), allow_nan=False)
+    (folder / LINEAR_FILE.name).write_text(text + "\n", "utf-8")
+    failed: list[str] = []
     files = [*save(pictures, folder, failed), folder / LINEAR_FILE.name]
     if options.json:
         say(text)
-    options.print((*lines, *(f"note      {one}" for one in failed)), files)
+    options.print((*facts["text"], *(f"note      {one}" for one in failed)), files)
 
 
 @dataclass(frozen=True)
@@ -134,12 +147,6 @@ class _Compared:
     facts: dict[str, Any]
     lines: tuple[str, ...]
     picture: tuple[str, Callable[[], Figure]]
-
-
-def _responses(files: Sequence[Path]) -> list[FrequencyRecord]:
-    from asia.data.intake.frequency import read_frequency_response
-
-    return [read_frequency_response(path) for path in files]
 
 
 def _compared(run: LinearRun, given: Sequence[FrequencyRecord]) -> list[list[_Compared]]:
@@ -192,7 +199,6 @@ def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
     """Fit a linear model to a measured frequency response."""
     from asia.data.intake.frequency import read_frequency_response
     from asia.models.frequency_response import fit_frequency_response
-    from asia.report.files import save
     from asia.report.pictures.analysis import draw_frequency_response
 
     record = read_frequency_response(path)
@@ -234,20 +240,13 @@ def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
         "D": model.d, "error": found.error, "held_out_error": found.held_out,
         "orders": found.tried, "text": lines, **_dynamics(model),
     }  # fmt: skip
-    folder = out or Path("linear")
-    folder.mkdir(parents=True, exist_ok=True)
-    text = jsonlib.dumps(_plain(facts), allow_nan=False)
-    (folder / "linear.json").write_text(text + "\n", "utf-8")
     deviation = None if record.variance is None else np.sqrt(record.variance)
     curves = [(found.model, found.delay), *found.folds]
-    failed: list[str] = []
-    draw = lambda: draw_frequency_response(  # noqa: E731
-        frequency, record.response, deviation, curves, record.inputs, record.outputs
-    )
-    files = [*save([("linear", draw)], folder, failed), folder / "linear.json"]
-    if options.json:
-        say(text)
-    options.print((*lines, *(f"note      {one}" for one in failed)), files)
+    draw = partial(
+        draw_frequency_response, frequency, record.response, deviation, curves,
+        record.inputs, record.outputs,
+    )  # fmt: skip
+    _write(facts, [("linear", draw)], out or Path("linear"), options)
 
 
 def _drawn(run: LinearRun) -> list[DrawnCheck]:
@@ -514,18 +513,3 @@ def _polynomial(coefficients: Any) -> str:
         if abs(value) > 1e-12 * size
     ]
     return f"({' + '.join(term.strip() for term in terms) or '0'})".replace("+ -", "- ")
-
-
-def _plain(value: Any) -> Any:
-    """The same in lists and numbers, with null for what is not finite."""
-    if isinstance(value, dict):
-        entries: dict[str, Any] = value
-        return {name: _plain(one) for name, one in entries.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        items: Sequence[Any] = value
-        return [_plain(one) for one in items]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import re
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -252,10 +253,6 @@ def _facts(
             }
             for name, one in named
         },
-        "parameters": [
-            {"name": p.name, "value": p.value, "now": p.now, "proposed": p.proposed,
-             "aprbs": p.aprbs, "multisine": p.multisine}
-            for p in made.parameters
-        ],
+        "parameters": [asdict(p) for p in made.parameters],
         "text": lines,
-    }  # fmt: skip
+    }

@@ -596,9 +596,9 @@ class SearchOptions:
         """Return the problem with these options in place of its own."""
         from asia.search.run import with_early_stopping
 
-        given = {name: getattr(self, name) for name in ("experiments", "hours", "retests")}
-        given = {name: value for name, value in given.items() if value is not None}
-        problem = replace(problem, budget=replace(problem.budget, **given))
+        own = {name: getattr(self, name) for name in ("experiments", "hours", "retests")}
+        own = {name: value for name, value in own.items() if value is not None}
+        problem = replace(problem, budget=replace(problem.budget, **own))
         if self.early_stopping is None:
             return problem
         return with_early_stopping(problem, self.early_stopping)
@@ -608,25 +608,12 @@ class SearchOptions:
         from asia.interfaces.workspace.process import SearchRequest
 
         self.check()
-        return SearchRequest(
-            problem=problem,
-            agent=agent,
-            seed=self.seed,
-            experiments=self.experiments,
-            hours=self.hours,
-            early_stopping=self.early_stopping,
-            isolation=self.isolation,
-            isolation_strict=self.isolation_strict,
-            retests=self.retests,
-        )
+        own = {name: value for name, value in vars(self).items() if name != "name"}
+        return SearchRequest(problem=problem, agent=agent, **own)
 
     def words(self) -> list[str]:
         """Return the command line of these options."""
         words: list[str] = []
-        for name in ("experiments", "seed", "hours", "retests", "name", "early_stopping"):
-            value = getattr(self, name)
-            if value is not None and (name, value) != ("seed", 0):
-                words += [f"--{name.replace('_', '-')}", str(value)]
-        if self.isolation is not None:
-            words += ["--isolation", self.isolation]
-        return [*words, *(["--isolation-strict"] if self.isolation_strict else [])]
+        for name, value in given(self).items():
+            words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        return words

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
@@ -52,6 +53,21 @@ class Terminal(Console):
                 yield segment
             else:
                 yield Segment(printable(segment.text), segment.style)
+
+
+def plain(value: Any) -> Any:
+    """The same in lists and numbers, with null for what is not finite."""
+    if isinstance(value, dict):
+        entries: dict[str, Any] = value
+        return {name: plain(one) for name, one in entries.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        items: Sequence[Any] = value
+        return [plain(one) for one in items]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def validation_words(validation_scores: int) -> str:

@@ -86,10 +86,9 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
         opened[name] = run
         view, best = run.view, run.view.best
         start, usage = view.started, view.usage
-        value = best.score.value if best is not None and best.score is not None else None
         row = (
             name, start.problem, start.agent, start.seed, run.state, len(view.finished),
-            view.budget, best and best.number, value, usage and usage.tokens,
+            view.budget, best and best.number, view.best_value, usage and usage.tokens,
         )  # fmt: skip
         database.execute(f"INSERT INTO runs VALUES ({', '.join('?' * len(row))})", row)
         for e in view.experiments:
@@ -97,7 +96,7 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
             row = (
                 name, e.number, p.parent, p.phase, p.agent or start.agent, p.family, p.title,
                 p.hypothesis, p.expected, r.status if r else "running",
-                e.score.value if e.score else None, decision_text(e, view),
+                e.value, decision_text(e, view),
                 r.seconds if r else None, " ".join(view.tags(e.number)),
             )  # fmt: skip
             marks = ", ".join("?" * len(row))

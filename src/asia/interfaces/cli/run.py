@@ -352,7 +352,7 @@ class JsonDisplay:
                     "evaluated",
                     experiment=event.experiment,
                     status=event.status,
-                    V=experiment.score.value if experiment.score else None,
+                    V=experiment.value,
                     reason=experiment.failure.reason.value if experiment.failure else None,
                     title=experiment.proposed.title,
                     seconds=round(event.seconds, 3),

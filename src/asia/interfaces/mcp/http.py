@@ -82,14 +82,10 @@ def serve(opened: Opened, address: str, token_variable: str | None) -> None:
 
 def _listening(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((host, port))
-        listener.listen()  # before the address is printed
+        return socket.create_server((host, port), family=family)
     except OSError as error:
-        listener.close()
         raise UserError(
-            f"--http {host}:{port}: {error.strerror}; choose another port, or 0 for a free one"
+            f"--http {host}:{port}: {os.strerror(error.errno or 0)}; choose another port, or 0 for "
+            "a free one"
         ) from None
-    return listener

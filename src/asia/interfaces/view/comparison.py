@@ -10,20 +10,19 @@ from urllib.parse import urlencode
 from asia.agents.library.recipe import read_recipe
 from asia.errors import UserError
 from asia.interfaces.view.followed import Snapshot
-from asia.interfaces.view.pages import run_address, section, state_mark, whole_page, zoomable
+from asia.interfaces.view.pages import run_address, state_mark, whole_page, zoomable
 from asia.ledger.events import TestedModel
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.view import Experiment
 from asia.problem.problem import Problem
-from asia.report.page.html import Html, fixed, join, region, said, table, tag
+from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of, tag_labels
 from asia.report.page.sections.verdict import held_out_overlays, stamp
 from asia.report.page.subject import Subject, result_of, v_form
 from asia.report.page.svg import (
-    NARROW,
-    WIDE,
     BestSoFar,
     Overlay,
+    both_sizes,
     draw_best,
     draw_overlay,
     legend,
@@ -107,11 +106,7 @@ def comparison_part(compared: Sequence[Compared]) -> Html:
             for one in subjects
         ]
         axis, alt = axes.pop() if len(axes) == 1 else "V", "Best V so far over the experiments."
-        drawings = [
-            tag("div", draw_best(searches, axis, alt, size), class_=name)
-            for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-        ]
-        curves = tag("figure", *drawings)
+        curves = tag("figure", both_sizes(partial(draw_best, searches, axis, alt)))
     parts = (
         section("figures", "Runs", warning, _runs_table(subjects)),
         section("curves", "Best so far", curves),
@@ -185,7 +180,7 @@ def compared_overlay(
     if not 0 <= index < len(drawn):
         raise UserError(f"the comparison has no picture {index}")
     problem, one, _ = drawn[index]
-    return draw_overlay(problem, one.cut(first, len(one.measured) - 1 if last is None else last))
+    return draw_overlay(problem, one.cut(first, last))
 
 
 def _experiments_table(compared: Sequence[Compared]) -> Html | None:

@@ -12,11 +12,10 @@ from asia.interfaces.view.pages import (
     Chosen,
     choice_form,
     run_address,
-    section,
     tabs,
     whole_page,
 )
-from asia.report.page.html import Html, fixed, join, said, tag
+from asia.report.page.html import Html, fixed, join, said, section, tag
 from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.svg import draw_overlay, error_limit, overlay_legend
 

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
@@ -27,7 +28,7 @@ from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, fixed, join, said, table, tag
+from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import (
     experiment_story,
@@ -38,9 +39,8 @@ from asia.report.page.sections.experiments import (
 from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.subject import Detail, Subject
 from asia.report.page.svg import (
-    NARROW,
-    WIDE,
     Span,
+    both_sizes,
     draw_loss,
     draw_overlay,
     draw_timeline,
@@ -84,14 +84,6 @@ def whole_page(
         tag("div", id="live", class_="unseen", aria_live="polite"),
     )
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
-
-
-def section(key: str, title: str, *inner: Html | None) -> Html | None:
-    """A part of a page with its heading; None without anything in it."""
-    if all(part is None for part in inner):
-        return None
-    heading = f"h-{key}"
-    return tag("section", tag("h2", title, id=heading), *inner, id=key, aria_labelledby=heading)
 
 
 def to_pages(html: Html, name: str) -> Html:
@@ -170,8 +162,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
             lines = store.text(e.result.output).splitlines()[-20:]
     evidence = None
     if lines:
-        code = tag("code", "\n".join(lines))
-        evidence = tag("pre", code, tabindex="0", role="region", aria_label="evidence")
+        evidence = region("pre", tag("code", "\n".join(lines)), label="evidence")
 
     story = to_pages(experiment_story(subject, e), run.name)
     source = python(store.text(e.proposed.source), "candidate.py") if store.kept else None
@@ -223,18 +214,13 @@ def zoomable(address: str, drawn: Html, count: int) -> Html:
     )
 
 
-def overlay_part(
-    snapshot: Snapshot, number: int, index: int, first: int = 0, last: int | None = None
-) -> Html:
+def overlay_part(snapshot: Snapshot, number: int, index: int, first: int, last: int | None) -> Html:
     """Samples `first` to `last` of an overlay, drawn. Raises UserError where there is none."""
     subject = snapshot.subject
     overlays = held_out_overlays(subject, subject.view.experiment(number))
     if subject.problem is None or not 0 <= index < len(overlays):
         raise UserError(f"experiment {number} has no picture {index}")
-    one = overlays[index]
-    return draw_overlay(
-        subject.problem, one.cut(first, len(one.measured) - 1 if last is None else last)
-    )
+    return draw_overlay(subject.problem, overlays[index].cut(first, last))
 
 
 # The list of runs.
@@ -329,7 +315,7 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
             ]
         body.append(tag("tr", *cells))
     inner = tag("table", tag("thead", tag("tr", *head)), tag("tbody", *body), class_="runs")
-    return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label="Runs")
+    return region("div", inner, class_="scroll", label="Runs")
 
 
 def state_mark(state: str, *, paused: bool = False) -> Html:
@@ -494,13 +480,8 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     """The page of a run, with the chosen experiments."""
     subject = snapshot.subject
     start, name = subject.view.started, snapshot.run.name
-    text = (
-        "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
-        subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
-    )  # fmt: skip
-    header = tag(
-        "header", tag("h1", said(name)), tag("p", *text, " ", tag_labels(subject.view.tags()))
-    )
+    labels = tag_labels(subject.view.tags())
+    header = tag("header", tag("h1", said(name)), tag("p", subject.setting, " ", labels))
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
     others = [(one.key, one.title) for one in SECTIONS if one.key not in (*_OWN, *TABS)]
     place = [key for key, _ in others].index("tradeoff") + 1
@@ -513,14 +494,8 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         id="curve",
         data_curve=f"{run_address(name)}/curve",
     )
-    listed = tag(
-        "div",
-        experiment_rows(subject, chosen),
-        id="rows",
-        class_="rows",
-        tabindex="0",
-        role="region",
-        aria_label="Experiments",
+    listed = region(
+        "div", experiment_rows(subject, chosen), label="Experiments", id="rows", class_="rows"
     )
     overlay = tag(
         "a", "Overlay and compare experiments", href=f"/compare?{urlencode({'run': name})}"
@@ -757,17 +732,14 @@ def timeline_part(snapshot: Snapshot) -> Html | None:
     if not spans:
         return None
     alt = "Time of the evaluation of each experiment, from its proposal to its result."
-    drawings = [
-        tag("div", draw_timeline(spans, alt, size), class_=name)
-        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-    ]
+    drawings = both_sizes(partial(draw_timeline, spans, alt))
     text = (
         "Each bar reaches from the proposal of an experiment to its result. Evaluations at the "
         "same time have rows of their own. Gaps are the agent and the decisions of the search. "
         "Longer pauses, such as those before a search was resumed, are cut out."
     )
     keys = [("kept bar", "new best"), ("other bar", "no new best"), ("failed bar", "no score")]
-    return join((tag("p", text), tag("figure", *drawings, legend(keys))))
+    return join((tag("p", text), tag("figure", drawings, legend(keys))))
 
 
 def _ends(times: Sequence[float], now: float) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 from collections.abc import Callable
 from functools import partial
@@ -71,15 +72,10 @@ class _LocalServer(uvicorn.Server):
 
 
 def _listening(port: int) -> socket.socket:
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((_HOST, port))
-        listener.listen()  # before the address is printed
+        return socket.create_server((_HOST, port))
     except OSError as error:
-        listener.close()
         raise UserError(
-            f"--port {port}: {error.strerror}; another asia view may be there: name another port, "
-            "or 0 for a free one"
+            f"--port {port}: {os.strerror(error.errno or 0)}; another asia view may be there: name "
+            "another port, or 0 for a free one"
         ) from None
-    return listener

@@ -11,8 +11,9 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, is_dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -695,18 +696,6 @@ class _PlainCall(_Call):
 
 _AnyCall = _SubmitCall | _TicketCall | _ExperimentCall | _DryRunCall | _PlainCall
 _calls: TypeAdapter[_AnyCall] = TypeAdapter(Annotated[_AnyCall, Field(discriminator="op")])
-_ANSWERS: dict[str, TypeAdapter[Any]] = {
-    "submit": TypeAdapter(Submission),
-    "submission": TypeAdapter(Submission),
-    "withdraw": TypeAdapter(Submission),
-    "results": TypeAdapter(tuple[ExperimentResult, ...]),
-    "source": TypeAdapter(str),
-    "evidence": TypeAdapter(ExperimentEvidence),
-    "progress": TypeAdapter(SearchProgress),
-    "attended": TypeAdapter(bool),
-    "simulated": TypeAdapter(SimulatedCases),
-    "dry_run": TypeAdapter(DryRunResult),
-}
 
 
 class DeskServer:
@@ -858,7 +847,13 @@ class SocketDesk:
             ) from None
         if "error" in answer:
             raise UserError(str(answer["error"]))
-        return _ANSWERS[op].validate_python(answer["ok"])
+        return _answers(op).validate_python(answer["ok"])
+
+
+@cache
+def _answers(op: str) -> TypeAdapter[Any]:
+    """What a request is answered with."""
+    return TypeAdapter(get_type_hints(getattr(RunDesk, op))["return"])
 
 
 # The end of a search that waits for candidates, on request.

@@ -74,9 +74,17 @@ def fixed(words: str) -> Html:
     return tag("span", words, class_="fixed")
 
 
-def region(element: str, *children: str | None, label: str, class_: str | None = None) -> Html:
+def region(element: str, *children: str | None, label: str, **attributes: object) -> Html:
     """An element that scrolls by itself, with a name for screen readers."""
-    return tag(element, *children, class_=class_, tabindex="0", role="region", aria_label=label)
+    return tag(element, *children, **attributes, tabindex="0", role="region", aria_label=label)
+
+
+def section(key: str, title: str, *inner: str | None) -> Html | None:
+    """A part of a page with its heading; None without anything in it."""
+    if all(part is None for part in inner):
+        return None
+    heading = f"h-{key}"
+    return tag("section", tag("h2", title, id=heading), *inner, id=key, aria_labelledby=heading)
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: str) -> Html:

@@ -19,7 +19,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import write_whole
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_lock
-from asia.report.page.html import FORMS, ONE, RULES, Html, follow, join, said, table, tag
+from asia.report.page.html import FORMS, ONE, RULES, Html, follow, join, said, section, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.verdict import stamp
 from asia.report.page.subject import Detail, Section, Subject
@@ -183,23 +183,17 @@ def page_of(run: Run, sections: Sequence[Section] = SECTIONS) -> str:
 def _whole(subject: Subject, sections: Sequence[Section]) -> str:
     start = subject.view.started
     links: list[Html] = []
-    parts: list[Html] = []
-    for section in sections:
+    parts: list[Html | None] = []
+    for one in sections:
         failed: list[str] = []
         inner: Html | None = None
-        with diagnostic(f"section '{section.title}'", failed):
-            inner = section.write(subject)
+        with diagnostic(f"section '{one.title}'", failed):
+            inner = one.write(subject)
         if failed:
             inner = tag("p", said(failed[0], 600))
         if inner is not None:
-            links.append(tag("li", tag("a", section.title, href=f"#{section.key}")))
-            label = f"h-{section.key}"
-            title = tag("h2", section.title, id=label)
-            parts.append(tag("section", title, inner, id=section.key, aria_labelledby=label))
-    text = (
-        "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
-        subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
-    )  # fmt: skip
+            links.append(tag("li", tag("a", one.title, href=f"#{one.key}")))
+            parts.append(section(one.key, one.title, inner))
     note = (
         "Every number on this page comes from an event of the ledger, and was checked against it "
         "when the page was written. Hold the pointer over a number to see its event."
@@ -208,7 +202,7 @@ def _whole(subject: Subject, sections: Sequence[Section]) -> str:
     version = said(start.environment.get("asia-sysid", ""))
     body = (
         tag("a", "Skip to the verdict", href="#verdict", class_="skiplink"),
-        tag("header", kind, tag("h1", said(start.run)), tag("p", *text)),
+        tag("header", kind, tag("h1", said(start.run)), tag("p", subject.setting)),
         tag("nav", tag("ul", *links), aria_label="Sections"),
         tag("main", *parts),
         tag("footer", tag("p", note), tag("p", "ASIA ", version)),
@@ -285,8 +279,8 @@ def _index(runs: Sequence[Run]) -> str:
         return run.view.started.problem, run.view.started.protocol_digest, run.view.v_name
 
     def value(run: Run) -> float:
-        best = run.view.best
-        return best.score.value if best is not None and best.score is not None else float("inf")
+        found = run.view.best_value
+        return float("inf") if found is None else found
 
     ordered = sorted(runs, key=lambda run: (*compared(run), value(run), run.name))
     tables: list[Html] = []

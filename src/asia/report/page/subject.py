@@ -18,7 +18,7 @@ from asia.ledger.text import error_decimals
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.report.page.html import ONE, Html, follow, join, tag, write_number
+from asia.report.page.html import ONE, Html, follow, join, said, tag, write_number
 
 _NORM = "H-infinity norm"
 
@@ -60,15 +60,8 @@ class Subject:
 
     @cached_property
     def lineage(self) -> tuple[int, ...]:
-        """Numbers of the winner and of all that it was made from, the first one first; () without
-        a winner."""
-        found: list[int] = []
-        here = self.view.best
-        while here is not None and here.number not in found:
-            found.append(here.number)
-            parent = here.proposed.parent
-            here = None if parent is None else self.view.experiment(parent)
-        return tuple(reversed(found))
+        """Numbers of the winner and of all that it was made from, the first one first."""
+        return tuple(e.number for e in self.view.lineage)
 
     @cached_property
     def listed(self) -> tuple[Experiment, ...]:
@@ -158,6 +151,15 @@ class Subject:
         events = (line.event for line in self.run.lines if line.event.event == kind)
         values = [value for event in events for value in follow(event, path)]
         return write_number(values, f"{kind}:{path}", rule, form)
+
+    @property
+    def setting(self) -> Html:
+        """`problem tanks · agent expert · seed 0 · isolation namespace`."""
+        start = self.view.started
+        return join((
+            "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
+            self.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
+        ))  # fmt: skip
 
     @cached_property
     def _v_form(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -117,6 +117,12 @@ WIDE = Size(900, 380, 170, 30)
 NARROW = Size(380, 340, 12, 3)
 
 
+def both_sizes(draw: Callable[[Size], Html]) -> Html:
+    """A drawing for wide and for narrow screens, of which the page shows one."""
+    sizes = ((WIDE, "wide"), (NARROW, "narrow"))
+    return join(tag("div", draw(size), class_=name) for size, name in sizes)
+
+
 def draw_progress(
     points: Sequence[Point],
     levels: Sequence[tuple[str, float]],
@@ -224,8 +230,8 @@ def _steps(bests: Sequence[tuple[int, float]], across: Scale, up: Scale, end: fl
     return f"{path}H{rounded(end)}"
 
 
-def _cross(x: float, y: float) -> Html:
-    return tag("path", d=f"M{rounded(x - 4)} {rounded(y - 4)}l8 8m0 -8l-8 8", class_="failed")
+def _cross(x: float, y: float, name: str = "failed") -> Html:
+    return tag("path", d=f"M{rounded(x - 4)} {rounded(y - 4)}l8 8m0 -8l-8 8", class_=name)
 
 
 def _marker(point: Point, across: Scale, up: Scale) -> Html:
@@ -549,12 +555,13 @@ class Overlay:
     others: tuple[Array, ...] = ()
     below: tuple[str, Array] | None = None
 
-    def cut(self, first: int, last: int) -> Overlay:
+    def cut(self, first: int, last: int | None) -> Overlay:
         """Return the part between two samples, counted from its start and clipped to it; at least
-        two samples.
+        two samples. last: None for the end.
         """
-        begin = min(max(first, 0), len(self.measured) - 2)
-        end = max(min(last + 1, len(self.measured)), begin + 2)
+        count = len(self.measured)
+        begin = min(max(first, 0), count - 2)
+        end = max(count if last is None else min(last + 1, count), begin + 2)
         return replace(
             self,
             first=self.first + begin,
@@ -773,9 +780,7 @@ def draw_poles(models: Sequence[tuple[str, Sequence[complex], Sequence[complex]]
         tag("circle", cx=across.at(0), cy=up.at(0), r=rounded(unit), class_="level"),
     ]
     for k, (_, poles, zeros) in enumerate(models):
-        for z in poles:
-            x, y = rounded(across.at(z.real) - 4), rounded(up.at(z.imag) - 4)
-            drawn.append(tag("path", d=f"M{x} {y}l8 8m0 -8l-8 8", class_=f"line {series(k)}"))
+        drawn += [_cross(across.at(z.real), up.at(z.imag), f"line {series(k)}") for z in poles]
         for z in zeros:
             x, y = rounded(across.at(z.real)), rounded(up.at(z.imag))
             drawn.append(tag("circle", cx=x, cy=y, r="4.5", class_=f"line {series(k)}"))

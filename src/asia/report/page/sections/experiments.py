@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -29,11 +29,10 @@ from asia.report.page.html import (
 )
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import (
-    NARROW,
-    WIDE,
     LineageRow,
     Point,
     Traded,
+    both_sizes,
     draw_lanes,
     draw_progress,
     draw_tradeoff,
@@ -316,26 +315,22 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
     view = subject.view
     bests = {e.number for e in view.bests}
     points = [
-        Point(e.number, e.score.value if e.score else None, result_of(e).status,
-              e.proposed.title, e.number in bests)
+        Point(e.number, e.value, result_of(e).status, e.proposed.title, e.number in bests)
         for e in shown
-    ]  # fmt: skip
+    ]
     levels = [(r.name, r.outcome.value) for r in view.references if isinstance(r.outcome, Score)]
     alt = (
         "V of each experiment with the best so far as a step line; the table below has the same "
         "numbers."
     )
-    drawings = [
-        tag("div", draw_progress(points, levels, view.v_name, alt, size), class_=name)
-        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-    ]
+    drawings = both_sizes(partial(draw_progress, points, levels, view.v_name, alt))
     kinds = [
         ("kept", "new best"),
         ("other", "no new best"),
         ("failed", "no score"),
         ("best", "best so far"),
     ]
-    return tag("figure", *drawings, legend(kinds))
+    return tag("figure", drawings, legend(kinds))
 
 
 # V against the cost of a model, with the front that nothing dominates.
@@ -397,13 +392,10 @@ def _write_tradeoff(subject: Subject) -> Html | None:
         fronts |= {p.number: subject.view.experiment(p.number) for p in front_of(points)}
         alt = f"{subject.view.v_name} against {name}; the table below has the front."
         shown = name if axis != 1 else "µs a sample (processor time)"
-        drawings = [
-            tag("div", draw_tradeoff(points, subject.view.v_name, shown, alt, size), class_=kind)
-            for size, kind in ((WIDE, "wide"), (NARROW, "narrow"))
-        ]
+        draw = partial(draw_tradeoff, points, subject.view.v_name, shown, alt)
         box = tag("input", type="radio", name="axis", id=f"axis{axis}", checked=not choices)
         choices.append(tag("label", box, " ", name))
-        figures.append(tag("figure", *drawings, class_=f"axis{axis}"))
+        figures.append(tag("figure", both_sizes(draw), class_=f"axis{axis}"))
     if not figures:
         return None
     rows = [
