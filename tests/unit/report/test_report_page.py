@@ -335,7 +335,7 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     for words in (f"{low:.4g}", f"{high:.4g}", ">folds<", ">missing effect<", "1.5", "2.5"):
         assert words in part
     assert "R differs significantly between the folds" in part
-    assert "the folds disagree on R" in page
+    assert "The folds disagree on R" in page
     assert audit(page, run.directory, len(run.lines)) > 10
 
 
@@ -352,7 +352,7 @@ def test_the_verdict_has_the_doubts_of_the_validation(
     make_run: Callable[..., Run], verdict: Verdict, weight: float, stamp: str, kind: str
 ) -> None:
     run = make_run()
-    assert 'class="stamp shown">A model was found, not validated<' in page_of(run)
+    assert 'class="stamp shown">Usable, not validated<' in page_of(run)
     check = RecordedCheck("motion", verdict, "a sentence", "friction is missing", weight)
     curves = put_curves(run.store, ())
     event = Validated(4, "ensemble", "", "", (check,), curves, 1, 0, 0)

@@ -62,12 +62,6 @@ def doubts(subject: Subject) -> Iterator[str]:
                 ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
                 cause = f" ({check.cause})" if check.cause else ""
                 yield f"the check '{check.name}' {ends}{where}{cause}"
-    found = identified(subject.run)
-    if found is not None and found.disagreeing:
-        yield (
-            f"the folds disagree on {listed(found.disagreeing)}: the system drifts, or an effect "
-            "is missing"
-        )
     result = result_of(best)
     fitted = [fold.diagnostics.train_error for fold in result.folds]
     if consistency(value, fitted) < SUSPICIOUS_RATIO:
@@ -99,7 +93,7 @@ def stamp(subject: Subject) -> tuple[str, str]:
         return "Not usable", "none"
     if next(doubts(subject), None) is not None:
         return "Doubtful", "doubt"
-    return ("Usable", "good") if view.validated else ("A model was found, not validated", "shown")
+    return ("Usable", "good") if view.validated else ("Usable, not validated", "shown")
 
 
 _USES = {
@@ -201,11 +195,17 @@ def _test(subject: Subject) -> Html:
 
 
 def _trust(subject: Subject, kind: str) -> Html:
-    against, view = list(doubts(subject)), subject.view
+    against, view, text = list(doubts(subject)), subject.view, ""
+    found = identified(subject.run)
+    if found is not None and found.disagreeing:
+        text = (
+            f" The folds disagree on {listed(found.disagreeing)}: the system drifts, or an effect "
+            "is missing."
+        )
     if against:
         start = "Do not use this model" if kind == "none" else "Use it with care"
-        return join((f"{start}: ", said("; ".join(against), 2000), "."))
-    text = "No candidate saw its validation data."
+        return join((f"{start}: ", said("; ".join(against), 2000), f".{text}"))
+    text = f"No candidate saw its validation data.{text}"
     if view.refitted and view.refitted.again:
         text += " Refitting the winner gave the same result."
     if view.validated:
