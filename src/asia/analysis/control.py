@@ -87,7 +87,8 @@ class Transfer:
             factor *= self.delay * (_PADE - k + 1) / (k * (2 * _PADE - k + 1))
             num.insert(0, factor * (-1) ** k)
             den.insert(0, factor)
-        return Transfer(np.polymul(self.num, num), np.polymul(self.den, den))
+        both = (self.num, num), (self.den, den)
+        return Transfer(*(np.polymul(a, b).astype(np.float64) for a, b in both))
 
 
 @dataclass(frozen=True)
