@@ -87,8 +87,8 @@ class Transfer:
             factor *= self.delay * (_PADE - k + 1) / (k * (2 * _PADE - k + 1))
             num.insert(0, factor * (-1) ** k)
             den.insert(0, factor)
-        both = (self.num, num), (self.den, den)
-        return Transfer(*(np.polymul(a, b).astype(np.float64) for a, b in both))
+        num, den = np.polymul(self.num, num), np.polymul(self.den, den)
+        return Transfer(num.astype(np.float64), den.astype(np.float64))
 
 
 @dataclass(frozen=True)
