@@ -231,6 +231,29 @@ def test_a_sensor_without_sign_is_tried_where_the_description_says_so() -> None:
     assert "output_map" not in other.source
 
 
+@pytest.mark.parametrize(
+    ("maps", "inside"),
+    [
+        ({"input_map": "monotone"}, True),
+        ({"input_map": "saturation"}, True),
+        ({"output_map": "magnitude"}, False),
+    ],
+)
+def test_a_family_that_has_the_leading_function_inside_begins_without(
+    maps: dict[str, str], inside: bool
+) -> None:
+    known = simulation(physics=False)
+    recipe = next(row for row in families(known) if row.name == "linear").trial(known)
+    sources = [recipe.source("Plain."), recipe.mapped(**maps).source("Mapped.")]
+    plain, mapped = (Proposal(source, "linear", "linear", "", "") for source in sources)
+    leads = replace(trial(mapped, 2, 0.1), status="keep")
+    made = agent.untried(view(known, (trial(plain, 1, 0.3), leads), "explore"))
+    sources = {option.family: first.source for option in made if (first := option.make())}
+    (name,) = maps
+    assert (name in sources["nl_lfr"]) != inside
+    assert name in sources["neural_ss"]
+
+
 def test_first_fits_that_take_far_longer_come_last(monkeypatch: pytest.MonkeyPatch) -> None:
     known = simulation(physics=False)
     first = following(known, (), "explore")

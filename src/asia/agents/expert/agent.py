@@ -51,6 +51,8 @@ PATIENCE = 0.85
 STATIC = 1.5
 # A first fit that takes so many times the median of the others, and seconds, waits for cheap ones.
 SLOW, SLOW_SECONDS = 4.0, 30.0
+# Functions of a sensor that lose the sign of the output.
+_WITHOUT_SIGN = frozenset({"magnitude", "square"})
 # Settings that need one sampling time.
 _COUNTED_IN_SAMPLES = ("input_delay", "discover", "noise_model")
 _CHOSEN_BY_FIT = frozenset({"order", "delay", "na", "nb"})
@@ -198,7 +200,11 @@ def untried(view: AgentView) -> Iterator[Option]:
         if static and row.name == "block_oriented" and not maps:
             weight *= STATIC
         apt = row.aptness(view.facts) > 0
-        recipe = row.trial(view.facts).mapped(**maps)
+        own = maps
+        if row.name == "nl_lfr":
+            # It has the others inside, and its fits through a second function are worse.
+            own = {name: kind for name, kind in maps.items() if kind in _WITHOUT_SIGN}
+        recipe = row.trial(view.facts).mapped(**own)
         seconds = row.seconds(view.facts, recipe)
         yield Option(row.name, weight, partial(_first, view, row, recipe), seconds, apt)
 
