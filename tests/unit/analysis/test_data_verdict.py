@@ -58,7 +58,7 @@ def test_good_records_show_order_delay_and_time_constants(delay: int) -> None:
     assert "verdict   good" in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_records_spoilt_in_one_way_name_that_way_and_what_would_help() -> None:
     u = spread_input(1500)
     y = second_order(u)

@@ -60,7 +60,7 @@ def test_the_intervals_hold_the_truth_and_noise_free_records_give_it_exactly(
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_structure_is_chosen_and_records_may_begin_in_motion() -> None:
     true = ProcessModel(2.0, (9.0, 3.0), 0.0, 2.4, False, 0.0)
     u = binary(700, 3)
@@ -74,7 +74,7 @@ def test_the_structure_is_chosen_and_records_may_begin_in_motion() -> None:
     assert all(p.value == pytest.approx(values[p.name], rel=0.1) for p in found.parameters[0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_inputs_and_missing_outputs() -> None:
     first, second = (ProcessModel(2.0, (9.0,), 0.0, 1.0, False, 0.0),
                      ProcessModel(-1.0, (4.0,), 0.0, 3.0, False, 0.0))  # fmt: skip

@@ -144,7 +144,7 @@ def test_the_plant_is_the_models_of_the_run(run: Path, tmp_path: Path) -> None:
             assert y == pytest.approx(linear.c @ state + linear.y0, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_from_a_run_to_a_controller_in_two_commands(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -261,7 +261,16 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     assert command_line("report", "--runs", tmp_path).code == 0
     (page,) = tmp_path.glob("*/report/report.html")
     assert "at u=2: pump_voltage 2 V; tank2_level" in page.read_text("utf-8")
-    # A controller on the same run: all its models are in the loop.
+    wrong = command_line("linear", "--runs", tmp_path, "--at", "u=2,3")
+    assert wrong.code == 2
+    assert "expected start, u= with 1 or y= with 1 numbers" in wrong.err
+
+
+@pytest.mark.long
+def test_a_controller_and_a_certificate_of_a_run(tmp_path: Path) -> None:
+    words = "--experiments", 2, "--retests", 0, "--runs", tmp_path
+    assert command_line("run", "two_tanks_sim", *words).code == 0
+    # All models of the run are in the loop.
     shown = command_line("control", "--runs", tmp_path, "--at", "u=2", "--settling", "400",
                          "--kind", "lqr", "--limits", "0..3.5", "--json")  # fmt: skip
     assert shown.code == 0, shown.err
@@ -285,6 +294,3 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     assert "tank2_level in 0 to 10 V" in shown.out
     wrong = command_line("certify", "--runs", tmp_path, "--y", "level=0..10")
     assert "--y is 'level=0..10', expected limits" in wrong.err
-    wrong = command_line("linear", "--runs", tmp_path, "--at", "u=2,3")
-    assert wrong.code == 2
-    assert "expected start, u= with 1 or y= with 1 numbers" in wrong.err

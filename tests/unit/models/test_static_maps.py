@@ -96,7 +96,7 @@ def test_a_static_function_is_found(
     check_steps(model, [case], PAST, 1, 1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sign_of_a_simulation_in_mid_motion_comes_from_its_past_outputs() -> None:
     """A slow mode remembers far more than the past window shows."""
     rng = np.random.default_rng(8)

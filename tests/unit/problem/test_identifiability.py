@@ -77,7 +77,7 @@ def test_equations_that_cannot_be_simulated_are_not_judged() -> None:
     assert unidentifiable(physics, ["u"], ["y"], RECORDS) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_drone_with_fifteen_parameters_is_identifiable_from_its_pose_and_rates() -> None:
     file = Path(asia.__file__).parent / "problems" / "nanodrone" / "problem.toml"
     table = tomllib.loads(file.read_text("utf-8"))

@@ -135,7 +135,7 @@ def loop_problem(directory: Path) -> Path:
     return problem
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_short_search_with_a_declared_loop_finds_the_gain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,7 +49,7 @@ def of(f: Array, g: ComplexArray, variance: Array | None, step: float = 0.0) -> 
     return FrequencyRecord("one", f, g, variance, step, inputs, outputs)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_order_modes_and_a_hidden_delay_of_a_flexible_structure_are_found() -> None:
     f, g, deviation = noisy()
     found = fit_frequency_response(of(f, g, (deviation**2)[:, None, None]))

@@ -112,7 +112,7 @@ def observed(seed: int) -> tuple[Trajectory, FrequencyRecord]:
     return Trajectory(u[:, None], y[:, None], STEP, "one"), record(f, g, deviation**2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("known", [True, False])
 def test_a_response_adds_what_a_short_record_does_not_show(known: bool) -> None:
     trajectory, measured = observed(1)

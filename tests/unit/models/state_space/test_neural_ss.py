@@ -92,7 +92,7 @@ def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
     assert data.ratio(model) < 0.2 * data.ratio(line)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mode_that_the_linear_model_takes_for_noise_is_found() -> None:
     data = case(lambda u: softening(u, 0.6, 0.003) - 0.7 * softening(u, 0.8, 0.003), lengths=(400,))
     line = linear.train(
