@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
-from asia.lowering.linear import LinearModel, held
+from asia.lowering.linear import LinearModel, discretize
 from asia.lowering.program import LoweredModel
 
 # Order of Pade's approximation of a dead time in the poles of the closed loop.
@@ -826,7 +826,7 @@ def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:
     whole = int(plant.delay / sampling_time + 1e-9)
     part = max(plant.delay - whole * sampling_time, 0.0)
     times = (sampling_time, sampling_time - part, part)
-    (move, _), (rest, new), (_, old) = (held(a[:n, :n], b[:n, :1], time) for time in times)
+    (move, _), (rest, new), (_, old) = (discretize(a[:n, :n], b[:n, :1], time) for time in times)
     new, old = new[:, 0], (rest @ old)[:, 0]
 
     def step(state: Array, u: float) -> tuple[float, Array]:

@@ -19,7 +19,7 @@ import numpy as np
 from asia.candidate import ParameterEstimate
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
-from asia.lowering.linear import ProcessModel, held
+from asia.lowering.linear import ProcessModel, discretize
 from asia.models import uncertainty
 
 # Samples that a fit takes from the records, from the first on.
@@ -343,9 +343,9 @@ class _Chain:
         """Outputs (T,), one a row of C, from rest."""
         whole = int(delay)
         late = delay - whole
-        power, _ = held(self.a, self.b, 1.0)
-        after, now = held(self.a, self.b, 1.0 - late)
-        before = after @ held(self.a, self.b, late)[1]
+        power, _ = discretize(self.a, self.b, 1.0)
+        after, now = discretize(self.a, self.b, 1.0 - late)
+        before = after @ discretize(self.a, self.b, late)[1]
         state, impulse = np.zeros(len(self.a)), np.zeros((len(self.a) + 2, len(self.c)))
         for k in range(len(impulse)):
             impulse[k] = self.c @ state
@@ -355,7 +355,7 @@ class _Chain:
 
     def decays(self, samples: int) -> list[Array]:
         """Free responses (T,) of the lags at the output; that of an integrator is a constant."""
-        power, _ = held(self.a, self.b, 1.0)
+        power, _ = discretize(self.a, self.b, 1.0)
         state = np.eye(len(self.a))[:, : len(self.lags)]
         first = np.empty((len(self.a) + 1, len(self.lags)))
         for k in range(len(first)):

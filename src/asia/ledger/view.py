@@ -91,7 +91,7 @@ class Experiment:
 
     @property
     def folds(self) -> tuple[FoldEvidence, ...]:
-        """What is kept of the fit of each fold; () without a result or a score."""
+        """Evidence on the fit of each fold; () without a result or a score."""
         return self.result.folds if self.result else ()
 
     @property
@@ -239,7 +239,7 @@ class SearchView:
 
     @property
     def lineage(self) -> tuple[Experiment, ...]:
-        """The winner and what it was made from, the first one first; () without a winner."""
+        """The winner after its ancestors, the oldest first; () without a winner."""
         found = [] if self.best is None else [self.best]
         while found and (parent := found[-1].proposed.parent) and parent < found[-1].number:
             found.append(self.experiment(parent))

@@ -548,8 +548,9 @@ def fold_band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
     return every.min(axis=0), every.max(axis=0)
 
 
-def held(a: Array, b: Array, time: float) -> tuple[Array, Array]:
-    """exp(A t), and the effect (n, nu) of inputs of x' = A x + B u that are held for a time."""
+def discretize(a: Array, b: Array, time: float) -> tuple[Array, Array]:
+    """Zero-order hold of x' = A x + B u over a time: exp(A t) (n, n) and the effect of held inputs
+    (n, nu)."""
     from scipy.linalg import expm
 
     n, nu = b.shape

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from asia.data.frequency import ComplexArray, FrequencyRecord
 from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.lowering.linear import LinearModel, held
+from asia.lowering.linear import LinearModel, discretize
 
 _FOLDS, _LARGEST = 3, 24
 # A smaller order is taken while its held-out error is at most this much larger than the least one.
@@ -396,8 +396,8 @@ def sampled_response(fit: FrequencyFit, sampling_time: float) -> FrequencyRecord
     if record.sampling_time:
         return record
     whole, part = divmod(fit.delay / sampling_time, 1.0)
-    a, full = held(model.a, model.b, sampling_time)
-    _, late = held(model.a, model.b, (1.0 - part) * sampling_time)
+    a, full = discretize(model.a, model.b, sampling_time)
+    _, late = discretize(model.a, model.b, (1.0 - part) * sampling_time)
     turn = 2j * np.pi * record.frequency * sampling_time
     z = np.exp(turn)[:, None, None]
     driven = np.linalg.solve(z * np.eye(len(a)) - a, late + (full - late) / z)

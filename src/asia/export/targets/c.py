@@ -49,11 +49,11 @@ NO_FLOAT = (
 def header(model: ExportModel) -> str:
     """Text of `model.h`."""
     states = sum(math.prod(s) for s in model.lowered.states)
-    return template("model.h", **_about(model), STATES=max(states, 1))
+    return template("model.h", **_header_fields(model), STATES=max(states, 1))
 
 
-def _about(model: ExportModel) -> dict[str, object]:
-    """What both headers say of a model and its signals."""
+def _header_fields(model: ExportModel) -> dict[str, object]:
+    """Values of the fields that both header templates share."""
     low = model.lowered
     rows = [
         f" * {side} {i}: {_plain(s.name)} {_plain(s.unit)}, trained from {a:g} to {b:g}"
@@ -676,7 +676,7 @@ def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
         FACTOR=repr(0.5 * (1.0 - 1.0 / INCREASE)),
         LOSS=repr(0.5 * math.log(INCREASE)),
     )
-    about = _about(model)
+    about = _header_fields(model)
     source = [
         f"/* {about['TITLE']}: observer. */",
         '#include "observer.h"',
@@ -714,10 +714,12 @@ def observed(
     """Compile the files of `observer_files` and run them on windows: results (H, width) as
     `observer_harness.c` writes them, and the seconds of all."""
     calls = [((w.past_u, w.past_y, w.u, w.y), (len(w.u), width)) for w in windows]
-    return _called(compiler, folder / "observer.c", "observer_harness.c", "asia_observe", calls)
+    return _run_compiled(
+        compiler, folder / "observer.c", "observer_harness.c", "asia_observe", calls
+    )
 
 
-def _called(
+def _run_compiled(
     compiler: str,
     source: Path,
     harness: str,
@@ -726,13 +728,13 @@ def _called(
     *,
     single: bool = False,
 ) -> tuple[list[Array], float]:
-    """Compile a file with a template that has a function, and call it with arrays.
+    """Compile a file with a harness, and call its function with arrays.
 
     Args:
-        calls: arrays that it reads, and shape of the one that it fills, whose rows it counts
+        calls: arrays that the function reads, and shape of the one that it fills
 
     Returns:
-        What it fills, and the seconds of all calls.
+        Arrays that it filled, and the seconds of all calls.
     """
     kind, real = (np.float32, ctypes.c_float) if single else (np.float64, ctypes.c_double)
     with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
@@ -779,7 +781,7 @@ def _simulated(
     compiler: str, folder: Path, windows: Sequence[TrainingWindow], *, single: bool
 ) -> Answers:
     calls = [((w.past_u, w.past_y, w.u), w.y_hat.shape) for w in windows]
-    y_hat, seconds = _called(
+    y_hat, seconds = _run_compiled(
         compiler, folder / "model.c", "harness.c", "asia_run", calls, single=single
     )
     if not single:

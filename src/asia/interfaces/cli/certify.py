@@ -108,7 +108,7 @@ def _facts(
     run: str, model: str, inputs: Sequence[Signal], outputs: Sequence[Signal], limits: np.ndarray,
     sampling_time: float, *assumptions: str,
 ) -> dict[str, Any]:  # fmt: skip
-    """What a certificate says of its model. limits: of the inputs (nu, 2)."""
+    """Facts on the model of a certificate; limits of the inputs (nu, 2)."""
     spans = ", ".join(
         f"{s.label} from {low:g} to {high:g}"
         for s, (low, high) in zip(inputs, limits.tolist(), strict=True)

@@ -847,12 +847,12 @@ class SocketDesk:
             ) from None
         if "error" in answer:
             raise UserError(str(answer["error"]))
-        return _answers(op).validate_python(answer["ok"])
+        return _answer_type(op).validate_python(answer["ok"])
 
 
 @cache
-def _answers(op: str) -> TypeAdapter[Any]:
-    """What a request is answered with."""
+def _answer_type(op: str) -> TypeAdapter[Any]:
+    """Return the type of the answer to a request."""
     return TypeAdapter(get_type_hints(getattr(RunDesk, op))["return"])
 
 

@@ -52,16 +52,16 @@ class SampledResponse:
 
     def error(self, system: LinearSystem) -> float:
         """Mean squared weighted error of a system."""
-        return float(np.mean(np.abs(self._apart(system)) ** 2))
+        return float(np.mean(np.abs(self._weighted_error(system)) ** 2))
 
     def normal_equations(self, system: LinearSystem) -> tuple[Array, Array]:
         """Products of the derivatives by A, B, C and D with themselves and with the residuals."""
-        apart = self._apart(system).ravel()
+        apart = self._weighted_error(system).ravel()
         slopes = response_slopes(system.a, system.b, system.c, self.z)
         slopes = (self.weight[..., None] * slopes).reshape(len(apart), -1)
         return np.real(slopes.conj().T @ slopes), np.real(slopes.conj().T @ apart)
 
-    def _apart(self, system: LinearSystem) -> ComplexArray:
+    def _weighted_error(self, system: LinearSystem) -> ComplexArray:
         """Weighted difference from a system (F, ny, nu)."""
         return self.weight * (self.response - system.response(self.z))
 

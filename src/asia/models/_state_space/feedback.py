@@ -22,7 +22,7 @@ from asia.models._reuse import reused
 from asia.models._state_space.fit import StateFit, fit_states, of_records
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models._state_space.training import fit_segments, judged, stability_term
+from asia.models._state_space.training import fit_segments, judge_fit, stability_term
 
 # Search for the regressors of static functions in feedback, by the residual of the linear model.
 #
@@ -555,7 +555,7 @@ def fit_feedback(
         tried.append(fits.fitted(first.core, first.structure, first.start, whole, fits.first))
     ended = (fits.fitted(one.core, one.structure, one.start, one.now, fits.rest) for one in tried)
     finished = [
-        (one, judged(one.structure, one.now, one.core.records, context, options.encoder, True))
+        (one, judge_fit(one.structure, one.now, one.core.records, context, options.encoder, True))
         for one in ended
     ]
     best, found = min(finished, key=lambda pair: pair[0].penalty * pair[1].error)

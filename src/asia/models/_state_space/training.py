@@ -240,7 +240,7 @@ def fit_members(
             whole = starts[:1]
         fits += fit_states(structure, whole, samples, ridge, method, log, time, stability=held)
         ended = [
-            judged(structure, one, records, context, options.hidden, options.past_fit)
+            judge_fit(structure, one, records, context, options.hidden, options.past_fit)
             for one in fits
         ]
         ended.sort(key=lambda one: one.error)
@@ -264,7 +264,7 @@ class JudgedFit(NamedTuple):
     error: float  # Mean squared error in z-scores of simulations that start from past windows
 
 
-def judged(
+def judge_fit(
     structure: StateSpaceStructure,
     fit: StateFit,
     records: ScaledData,
