@@ -200,11 +200,8 @@ def untried(view: AgentView) -> Iterator[Option]:
         if static and row.name == "block_oriented" and not maps:
             weight *= STATIC
         apt = row.aptness(view.facts) > 0
-        own = maps
-        if row.name == "nl_lfr":
-            # It has the others inside, and its fits through a second function are worse.
-            own = {name: kind for name, kind in maps.items() if kind in _WITHOUT_SIGN}
-        recipe = row.trial(view.facts).mapped(**own)
+        kept = {k: kind for k, kind in maps.items() if not row.has_static or kind in _WITHOUT_SIGN}
+        recipe = row.trial(view.facts).mapped(**kept)
         seconds = row.seconds(view.facts, recipe)
         yield Option(row.name, weight, partial(_first, view, row, recipe), seconds, apt)
 

@@ -107,6 +107,10 @@ class Family:
     """Other ways to train it, as changes of a recipe."""
     seeds: bool = False
     """Whether it is a network, of which several seeds can be averaged."""
+    has_static: bool = False
+    """Whether it has static functions of its inputs and outputs inside. Its fits through a second
+    one were worse, so its first trial takes over none that leads in another family, except a sensor
+    without sign."""
     settle: Callable[[Facts, Recipe], Recipe] | None = None
     """Last changes of a random draw."""
     extendable: bool = False

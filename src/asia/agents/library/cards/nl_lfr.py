@@ -67,6 +67,7 @@ CARD = Card(
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
             timing=Timing(start=6.2, unit=3.3e-05),
+            has_static=True,
         ),
     ),
     (
