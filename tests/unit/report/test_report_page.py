@@ -336,6 +336,7 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
         assert words in part
     assert "R differs significantly between the folds" in part
     assert "The folds disagree on R" in page
+    assert 'class="stamp shown">Usable, not validated<' in page
     assert audit(page, run.directory, len(run.lines)) > 10
 
 

@@ -195,17 +195,17 @@ def _test(subject: Subject) -> Html:
 
 
 def _trust(subject: Subject, kind: str) -> Html:
-    against, view, text = list(doubts(subject)), subject.view, ""
-    found = identified(subject.run)
+    against, view = list(doubts(subject)), subject.view
+    found, parameters = identified(subject.run), ""
     if found is not None and found.disagreeing:
-        text = (
+        parameters = (
             f" The folds disagree on {listed(found.disagreeing)}: the system drifts, or an effect "
             "is missing."
         )
     if against:
         start = "Do not use this model" if kind == "none" else "Use it with care"
-        return join((f"{start}: ", said("; ".join(against), 2000), f".{text}"))
-    text = f"No candidate saw its validation data.{text}"
+        return join((f"{start}: ", said("; ".join(against), 2000), f".{parameters}"))
+    text = f"No candidate saw its validation data.{parameters}"
     if view.refitted and view.refitted.again:
         text += " Refitting the winner gave the same result."
     if view.validated:
