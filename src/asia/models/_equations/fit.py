@@ -23,11 +23,8 @@ from asia.models._equations.starts import (
 )
 from asia.models._least_squares import TRIALS, LevenbergMarquardt, Minimum, minimise
 from asia.models._noise.model import (
-    BEFORE_NOISE,
     LEAST_DEVIATION,
-    NEAR_BEST,
     NOISE_ROUNDS,
-    UNDER_NOISE,
     ErrorWeighting,
     NoiseChoice,
     ResidualNoise,
@@ -40,8 +37,12 @@ from asia.models._noise.model import (
 _RACE = ((10, 5.0), (15, 3.0), (20, 1.5))
 # Starts whose trial points are simulated together: more cost as much each, and few are left soon.
 _SIDE_BY_SIDE = 4
-# Most starts that noise rounds go on from.
-_MOST_UNDER_NOISE = 3
+# Starts that noise rounds go on from: so many, within this ratio of the least cost.
+_MOST_UNDER_NOISE, _NEAR = 3, 1.2
+# Relative decrease of the cost below which a fit stops that another one goes on from, and one under
+# an estimate of the noise. With 1e-9 for both, models of the cascaded tanks take twice as long, and
+# V differs by 2 % at most.
+_BEFORE, _UNDER_NOISE = 1e-4, 1e-5
 # First layers drawn for the residual network: on the tanks eight ended within 1 % of each other.
 _NETWORKS = 3
 
@@ -96,17 +97,17 @@ def fit(
     augmented, residual = structure.config.augmented, structure.config.residual > 0
     later = residual or fits.choice is not None
     starts = screen(structure, segments, fits.simulate, count, rng)
-    found = fits.best(starts, active, BEFORE_NOISE if augmented or later else 0.0)
+    found = fits.best(starts, active, _BEFORE if augmented or later else 0.0)
     if augmented:
         active = np.ones(layout.size)
         active[layout.hidden] = active[layout.readout] = 0.0
         starts = augment(structure, segments, fits.simulate, starts, found, rng)
-        found = fits.best(starts, active, BEFORE_NOISE if later else 0.0)
+        found = fits.best(starts, active, _BEFORE if later else 0.0)
     starts, found = fits.under_noise(starts, active, found)
     if residual:
         active[:] = 1.0
         starts = add_network(structure, starts, found, min(count, _NETWORKS), rng)
-        found = fits.best(starts, active, 0.0 if fits.choice is None else BEFORE_NOISE)
+        found = fits.best(starts, active, 0.0 if fits.choice is None else _BEFORE)
         starts, found = fits.under_noise(starts, active, found)
     if not np.isfinite(found.cost).any():
         raise FloatingPointError("grey-box: no starting point gives a finite simulation")
@@ -196,10 +197,10 @@ class _Fits:
                 break
             self.noise = noise
             self.weighting = ErrorWeighting.of(noise, time, mask, self.choice.huber)
-            near = found.cost <= NEAR_BEST * found.cost.min()
+            near = found.cost <= _NEAR * found.cost.min()
             order = np.argsort(found.cost, kind="stable")[: min(near.sum(), _MOST_UNDER_NOISE)]
             starts = starts.chosen(order)
-            found = self.best(starts, active, UNDER_NOISE, found.theta[order])
+            found = self.best(starts, active, _UNDER_NOISE, found.theta[order])
         return starts, found
 
     def finished(self, starts: Starts, found: Minimum) -> FittedEquations:

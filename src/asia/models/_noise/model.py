@@ -197,12 +197,6 @@ def huber_root(error: AnyArray, threshold: float) -> AnyArray:
 
 NOISE_ROUNDS = 3
 """Greatest number of noise estimates, each followed by a fit."""
-BEFORE_NOISE, UNDER_NOISE = 1e-4, 1e-5
-"""Relative decrease of the cost below which a fit stops that others go on from, and one under an
-estimate of the noise. With 1e-9 for both, grey boxes of the cascaded tanks take twice as long, and
-V differs by 1 % at most."""
-NEAR_BEST = 1.2
-"""Ratio to the least cost of the fits that go on under an estimate of the noise."""
 LEAST_DEVIATION = 1e-6
 """Share of the output's deviation below which a residual is rounding."""
 

@@ -17,11 +17,8 @@ from asia.models._arrays import Packing, packed
 from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, Minimum, minimise
 from asia.models._noise.model import (
-    BEFORE_NOISE,
     LEAST_DEVIATION,
-    NEAR_BEST,
     NOISE_ROUNDS,
-    UNDER_NOISE,
     ErrorWeighting,
     NoiseChoice,
     estimate_noise,
@@ -72,9 +69,9 @@ def fit_states(
 ) -> list[StateFit]:
     """Fit from each start, the least cost first.
 
-    With a noise model the fits whose cost is near the least are continued after each estimate from
-    the best fit's residuals. The log receives iteration and the root of the least cost so far, over
-    all starts.
+    With a noise model all fits are continued after each estimate from the best fit's residuals,
+    with a third of the iterations. The log receives iteration and the root of the least cost so
+    far, over all starts.
 
     Args:
         structure: equations of the model.
@@ -90,14 +87,12 @@ def fit_states(
     """
     trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
     choice, noise = NoiseChoice.of(method), None
-    tolerance = method.tolerance
-    if choice is not None:
-        method = replace(method, tolerance=max(BEFORE_NOISE, tolerance))
     runs = _Runs(structure, trees, samples, ridge, method, log, stability)
     first = [{**tree, **params} for tree, params in zip(trees, begin or trees, strict=True)]
     if x0 is not None:
         first = [{**tree, "x0": states} for tree, states in zip(first, x0, strict=True)]
     results = runs.fitted(first, None)
+    runs = runs._replace(method=replace(method, iterations=-(-method.iterations // 3)))
     for _ in range(0 if choice is None else NOISE_ROUNDS):
         assert choice is not None
         best = min(results, key=lambda r: r.cost)
@@ -108,15 +103,7 @@ def fit_states(
         if settled(before, noise):
             break
         weighting = ErrorWeighting.of(noise, sampling_time, samples.weight, choice.huber)
-        near = [i for i, r in enumerate(results) if r is best or r.cost <= NEAR_BEST * best.cost]
-        runs = runs._replace(
-            origins=[runs.origins[i] for i in near],
-            method=replace(method, tolerance=max(UNDER_NOISE, tolerance)),
-        )
-        found = [
-            r.params if samples.known else {**r.params, "x0": r.x0}
-            for r in (results[i] for i in near)
-        ]
+        found = [r.params if samples.known else {**r.params, "x0": r.x0} for r in results]
         results = runs.fitted(found, weighting)
     return sorted(results, key=lambda r: r.cost)
 
