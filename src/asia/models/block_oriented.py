@@ -51,7 +51,7 @@ class Config:
     """States, of both systems together for "wiener_hammerstein"; None takes the order of the best
     linear model, but at least 2."""
     basis: Basis = "tanh"
-    """A layer of tanh units, or polynomials."""
+    """A layer of tanh units, or of units sqrt(1 + z^2), or polynomials."""
     hidden: int = 8
     """Units of that layer."""
     degree: int = 3

@@ -63,9 +63,9 @@ class Config:
     """Signals through which f and g act, with nonlinearity "state"; None: on all states and
     outputs directly."""
     basis: Basis = "tanh"
-    """A layer of tanh units, or polynomials. "scheduling": products of a state or input with
-    scheduling signals alone, with nonlinearity "state" on all states, so that the model is linear
-    for constant scheduling signals (LPV)."""
+    """A layer of tanh units, or of units sqrt(1 + z^2), or polynomials. "scheduling": products of a
+    state or input with scheduling signals alone, with nonlinearity "state" on all states, so that
+    the model is linear for constant scheduling signals (LPV)."""
     hidden: int = 8
     """Units of that layer."""
     degree: int = 3

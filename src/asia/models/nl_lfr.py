@@ -51,7 +51,7 @@ class Config:
     channels: int = 1
     """Signals that the functions read, and signals that they give."""
     hidden: int = 12
-    """Units of tanh of the functions."""
+    """Units sqrt(1 + z^2) of the functions, which go on as straight lines where the records end."""
     ridge: float = 1e-6
     """Weight, against the mean squared error in z-scores, of the squared distance of the functions'
     weights from their start."""

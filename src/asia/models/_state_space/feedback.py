@@ -272,9 +272,7 @@ class RegressorSearch:
         power, samples = 0.0, 0
         for r in self.records:
             weight = r.weight[:, None]
-            units = [
-                np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in candidates
-            ]
+            units = [self.structure.units(layer, r.read(d, o)) for d, o, layer in candidates]
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
             power, samples = power + float(rest @ rest), samples + len(rest)
@@ -375,9 +373,8 @@ class _Starts:
         some = (n + ny) * nu + ny
         gram, side = np.zeros((some, some)), np.zeros(some)
         for r in self.search.records:
-            units = np.tanh(
-                r.read(regressors.directions, regressors.observed) @ layer["w1"] + layer["b1"]
-            )
+            signals = r.read(regressors.directions, regressors.observed)
+            units = self.structure.units(layer, signals)
             both = responses(s, units @ theta)
             # Signal i acts only on state or output i.
             explained = np.einsum("tyii->ty", both) * r.weight[:, None]
@@ -466,7 +463,7 @@ class FeedbackOptions:
     """Options of the fits, apart from the method."""
 
     channels: int  # Number of signals that the functions read, and of those that they give
-    hidden: int  # Number of tanh units
+    hidden: int  # Number of units
     ridge: float  # Ridge of the functions
     linear_ridge: float  # Ridge of the linear system
     encoder: int  # Number of tanh units of the map from past windows to states
@@ -581,8 +578,8 @@ class _Fits:
         """Run the first iterations from each start, on whole records or on short segments."""
         o, order = self.options, core.found.system.order
         structure = StateSpaceStructure(
-            order, self.context.nu, self.context.ny, "state", "tanh", o.hidden, 2, o.channels,
-            integrators=o.integrators,
+            order, self.context.nu, self.context.ny, "state", "multiquadric", o.hidden, 2,
+            o.channels, integrators=o.integrators,
         )  # fmt: skip
         count, seed = self.method.starts, self.context.seed
 

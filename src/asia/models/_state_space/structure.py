@@ -66,7 +66,9 @@ def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[A
 # their own after x.
 
 Nonlinearity = Literal["state", "modal", "input", "output", "both", "none"]
-Basis = Literal["tanh", "polynomial", "scheduling"]
+# Layers: tanh, or sqrt(1 + z^2), whose sums go on as straight lines where records end.
+Basis = Literal["tanh", "multiquadric", "polynomial", "scheduling"]
+LAYERS = ("tanh", "multiquadric")
 
 # Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
 # grows linearly at most.
@@ -84,7 +86,7 @@ class StateSpaceStructure:
     ny: int  # Number of outputs
     nonlinearity: Nonlinearity  # Place of the static functions
     basis: Basis  # Basis of the functions
-    hidden: int  # Units of a layer of tanh functions
+    hidden: int  # Units of a layer
     degree: int  # Greatest degree of polynomials
     channels: int | None
     """Number of linear combinations of [x, v] that f and g read; None lets them read all of [x,
@@ -108,7 +110,7 @@ class StateSpaceStructure:
     @property
     def starts_vary(self) -> bool:
         """Starting points differ: polynomials all start at zero."""
-        drawn = self.nonlinearity not in ("none", "modal") and self.basis == "tanh"
+        drawn = self.nonlinearity not in ("none", "modal") and self.basis in LAYERS
         return drawn or self.channels is not None or self.size > self.order
 
     def input(self, p: Coefficients, u: Any) -> Any:
@@ -179,9 +181,16 @@ class StateSpaceStructure:
         """Output y after the static function r, from w (..., ny)."""
         return w + self._net(p["r"], w) if "r" in p else w
 
-    def _net(self, p: Coefficients, z: Any) -> Any:
+    def units(self, p: Coefficients, z: Any) -> Any:
+        """Units of a layer at signals z."""
+        inner = z @ p["w1"] + p["b1"]
         if self.basis == "tanh":
-            return namespace(z).tanh(z @ p["w1"] + p["b1"]) @ p["w2"]
+            return namespace(z).tanh(inner)
+        return namespace(z).sqrt(1.0 + inner * inner)
+
+    def _net(self, p: Coefficients, z: Any) -> Any:
+        if self.basis in LAYERS:
+            return self.units(p, z) @ p["w2"]
         z = bounded(z, -_RANGE, _RANGE)
         terms = [z[..., i].prod(axis=-1) for i in self._monomials(z.shape[-1])]
         return namespace(z).concatenate(terms, -1) @ p["w2"]
@@ -229,7 +238,7 @@ class StateSpaceStructure:
             p["act"] = rng.standard_normal((m, outputs)) / np.sqrt(outputs)
 
     def _function(self, rng: np.random.Generator, inputs: int, outputs: int) -> dict[str, Any]:
-        if self.basis != "tanh":
+        if self.basis not in LAYERS:
             size = sum(len(i) for i in self._monomials(inputs))
             return {"w2": np.zeros((size, outputs))}
         return {

@@ -118,6 +118,21 @@ def test_the_order_is_found() -> None:
     assert data.ratio(model) < 0.25 * data.ratio(line)
 
 
+def test_the_functions_go_on_as_straight_lines_beyond_the_records() -> None:
+    data = case(spring, lengths=(300,), noise=0.02)
+    model = fitted(nl_lfr, nl_lfr.Config(order=2), data, LevenbergMarquardt(iterations=8))
+    assert model.fitted is not None
+    structure, layer = model.fitted.structure, model.fitted.members[0][0]["f"]
+
+    def slopes(z: np.ndarray) -> np.ndarray:
+        return np.diff(structure.units(layer, z[:, None]) @ layer["w2"], axis=0) / np.diff(z)[0]
+
+    inside, beyond = slopes(np.linspace(-2.0, 2.0, 9)), slopes(np.linspace(1e3, 2e3, 9))
+    assert np.ptp(inside) > 1e-3  # Not a straight line where there are samples.
+    assert np.ptp(beyond) < 1e-3 * np.ptp(inside)
+    assert np.abs(beyond).max() > 0.0
+
+
 @pytest.mark.parametrize("held", [False, True])
 def test_a_fit_of_growing_outputs_stays_stable_with_the_stability_term(held: bool) -> None:
     length = 150
