@@ -135,6 +135,7 @@ def _where(mask: NDArray[np.bool_], a: Enclosure, b: Enclosure) -> Enclosure:
 # an interval, or at 0 inside of it.
 
 _Function = Callable[[Array], Array]
+_MULTIQUADRIC = "sqrt(1 + x^2)"
 _SMOOTH: dict[str, tuple[_Function, _Function]] = {
     "reciprocal": (lambda x: 1.0 / x, lambda x: -1.0 / x**2),
     "abs": (np.abs, np.sign),
@@ -152,6 +153,7 @@ _SMOOTH: dict[str, tuple[_Function, _Function]] = {
     "atan": (np.arctan, lambda x: 1.0 / (1.0 + x**2)),
     "sinh": (np.sinh, np.cosh),
     "cosh": (np.cosh, np.sinh),
+    _MULTIQUADRIC: (lambda x: np.sqrt(1.0 + x**2), lambda x: x / np.sqrt(1.0 + x**2)),
 }
 # Where these hold: least and largest argument.
 _DOMAIN = {"log": (0.0, math.inf), "log1p": (-1.0, math.inf), "tan": (-1.5, 1.5)}
@@ -325,6 +327,24 @@ def _widened(x: Enclosure, shape: tuple[int, ...]) -> Enclosure:
     )  # fmt: skip
 
 
+def _under_multiquadric(program: Program, node: Node) -> int | None:
+    """Number of the value x where a node is sqrt(1 + x * x), which the enclosure of its parts would
+    make wide and negative below the root; None for any other node."""
+    first = len(program.inputs) + len(program.constants)
+    if node.op != "sqrt" or node.operands[0] < first:
+        return None
+    added = program.nodes[node.operands[0] - first]
+    for one, square in (added.operands, added.operands[::-1]) if added.op == "add" else ():
+        k = one - len(program.inputs)
+        if square < first or not 0 <= k < len(program.constants):
+            continue
+        product = program.nodes[square - first]
+        if (program.constants[k] == 1.0).all() and product.op == "mul":
+            a, b = product.operands
+            return a if a == b else None
+    return None
+
+
 def enclose(
     program: Program, inputs: Sequence[Enclosure], *, chord: bool = False
 ) -> list[Enclosure]:
@@ -343,6 +363,12 @@ def enclose(
             values.append(parts[node.attrs[0]])
             continue
         x = [one for one in read if isinstance(one, Enclosure)]
+        inner = _under_multiquadric(program, node)
+        if inner is not None:
+            signal = values[inner]
+            assert isinstance(signal, Enclosure)
+            values.append(_smooth(_MULTIQUADRIC, _widened(signal, node.shape), chord=chord))
+            continue
         if node.op != "loop":
             values.append(_apply(node.op, node.attrs, x, node.shape, chord=chord))
             continue

@@ -12,8 +12,9 @@ import pytest
 from asia.analysis.certificate import certify
 from asia.analysis.certificate_check import check_certificate, digest, prove
 from asia.errors import UserError
+from asia.lowering.enclosure import enclose, interval
 from asia.lowering.evaluation import evaluate
-from asia.lowering.program import Builder, LoweredModel
+from asia.lowering.program import Builder, LoweredModel, Node, Program
 
 LIMITS = np.array([[-1.0, 2.0]])
 FACTS: dict[str, Any] = {"assumptions": []}
@@ -176,3 +177,17 @@ def test_asia_certify_proves_and_checks_a_file(tmp_path: Path) -> None:
     done = command_line("certify", "--check", path)
     assert done.code == 2
     assert "was changed" in done.err
+
+
+def test_sqrt_of_one_and_a_square_is_enclosed_where_its_parts_would_be_negative() -> None:
+    nodes = (
+        Node("mul", (0, 0), (), (1,)), Node("add", (1, 2), (), (1,)), Node("sqrt", (3,), (), (1,))
+    )  # fmt: skip
+    program = Program(((1,),), (np.array(1.0),), nodes, (4,))
+    for low, high in ((-1.0, 3.0), (-4.0, 4.0), (0.5, 60.0)):
+        (found,) = enclose(program, [interval(np.array([low]), np.array([high]), 1)])
+        x = np.linspace(low, high, 999)
+        y = np.sqrt(1.0 + x**2)
+        assert found.low <= y.min()
+        assert y.max() <= found.high
+        assert np.ptp([found.low, found.high]) < 2.0 * np.ptp(y)
