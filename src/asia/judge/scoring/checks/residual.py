@@ -427,18 +427,18 @@ def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
 
 
 def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
-    """Test for friction or hysteresis: the share that the signs of the output and of its rate
-    explain beyond linear dynamics."""
-    worst = _worst(found, columns, lambda g: g.turns, _linear)
+    """Test for friction, play or hysteresis: the share that the signs of the output and of its rate
+    explain beyond linear dynamics and static nonlinearities, which signs approximate as well."""
+    worst = _worst(found, columns, lambda g: g.turns, _linear_and_bent)
     weight = worst.found.share
     if worst.verdict is not Verdict.PASS:
         # With a long past the signs approximate linear dynamics as well: weigh by a short past.
         group = columns[worst.output]
         e = [r[group.reach :] for r in found.residuals(worst.output)]
         weight = max(weight, explained(e, _nothing(group), group.recent_turns).share)
+    words = "depends on the direction in which the output moves"
     return _judged(
-        "motion", found, worst, "changes with the direction of motion",
-        "changes at reversals of the motion", Cause.FRICTION, weight,
+        "motion", found, worst, words, words, Cause.FRICTION, weight,
     )  # fmt: skip
 
 
@@ -464,6 +464,11 @@ def _judged(
 
 def _linear(columns: Groups) -> list[Array]:
     pairs = zip(columns.inputs, columns.simulated, strict=True)
+    return [np.concatenate(pair, axis=1) for pair in pairs]
+
+
+def _linear_and_bent(columns: Groups) -> list[Array]:
+    pairs = zip(_linear(columns), columns.bends, strict=True)
     return [np.concatenate(pair, axis=1) for pair in pairs]
 
 
