@@ -217,6 +217,8 @@ class Groups:
     """Signs of the simulated output and of its rate, and their past."""
     recent_turns: list[Array]
     """The same, with a short past."""
+    rates: list[Array]
+    """Smooth odd functions of the rate of the simulated output, and their past."""
     time: list[Array]
     """Slow functions of the time in the record."""
 
@@ -245,6 +247,7 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
         [np.concatenate(parts, axis=1)[reach:] for parts in zip(*bent, strict=True)],
         _pasts(signs, long, reach),
         _pasts(signs, few, reach),
+        [_past(v, few)[reach:] for v in _odd_powers(rate)],
         # In samples from the start of the record.
         [(b.start + np.arange(len(b.y), dtype=np.float64))[reach:, None] / end for b in blocks],
     )
@@ -274,6 +277,13 @@ def _bends(signal: Sequence[Array]) -> list[Array]:
     edges = np.quantile(np.concatenate(list(signal)), _BENDS)
     low, high = edges[: len(edges) // 2], edges[len(edges) // 2 :]
     return [np.concatenate([np.minimum(v - low, 0), np.maximum(v - high, 0)], 1) for v in signal]
+
+
+def _odd_powers(signal: Sequence[Array]) -> list[Array]:
+    """z|z| and z^3 of one signal, (n, 1) a block."""
+    size = float(np.concatenate(list(signal)).std()) or 1.0
+    scaled = [v / size for v in signal]
+    return [np.concatenate([z * np.abs(z), z**3], axis=1) for z in scaled]
 
 
 def _signs(signal: Sequence[Array]) -> list[Array]:
@@ -428,14 +438,15 @@ def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
 
 def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """Test for friction, play or hysteresis: the share that the signs of the output and of its rate
-    explain beyond linear dynamics and static nonlinearities, which signs approximate as well."""
-    worst = _worst(found, columns, lambda g: g.turns, _linear_and_bent)
-    weight = worst.found.share
+    explain beyond linear dynamics and smooth functions of the rate, which any nonlinear process
+    has."""
+    worst, weight = _worst(found, columns, lambda g: g.turns, _linear_and_smooth), 0.0
     if worst.verdict is not Verdict.PASS:
         # With a long past the signs approximate linear dynamics as well: weigh by a short past.
         group = columns[worst.output]
         e = [r[group.reach :] for r in found.residuals(worst.output)]
-        weight = max(weight, explained(e, _nothing(group), group.recent_turns).share)
+        tests = (_linear(group), group.turns), (_nothing(group), group.recent_turns)
+        weight = max(explained(e, base, added).share for base, added in tests)
     words = "depends on the direction in which the output moves"
     return _judged(
         "motion", found, worst, words, words, Cause.FRICTION, weight,
@@ -467,8 +478,8 @@ def _linear(columns: Groups) -> list[Array]:
     return [np.concatenate(pair, axis=1) for pair in pairs]
 
 
-def _linear_and_bent(columns: Groups) -> list[Array]:
-    pairs = zip(_linear(columns), columns.bends, strict=True)
+def _linear_and_smooth(columns: Groups) -> list[Array]:
+    pairs = zip(_linear(columns), columns.rates, strict=True)
     return [np.concatenate(pair, axis=1) for pair in pairs]
 
 
