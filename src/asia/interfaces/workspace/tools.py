@@ -518,14 +518,15 @@ def variants(source: str, settings: Sequence[str]) -> Iterator[tuple[str, str]]:
         if isinstance(node, ast.Call) and takers:
             # Before the closing parenthesis, and after a last comma.
             end = begin = end - 1
-            written = source.encode()[:end].rstrip().endswith((b"(", b","))
-            before = f"{'' if written else ', '}{name}="
+            is_first = (begin, end) not in places
+            is_first &= source.encode()[:end].rstrip().endswith((b"(", b","))
+            before = f"{'' if is_first else ', '}{name}="
         places.append((begin, end))
         choices.append([(name, word, before) for word in map(_literal, values.split(","))])
     for combination in itertools.product(*choices):
         changed = source.encode()
-        edits = zip(places, combination, strict=True)
-        for (begin, end), (_, word, before) in sorted(edits, reverse=True):
+        edits = zip(places, range(len(places)), combination, strict=True)
+        for (begin, end), _, (_, word, before) in sorted(edits, reverse=True):
             changed = changed[:begin] + f"{before}{word}".encode() + changed[end:]
         yield ", ".join(f"{name}={word}" for name, word, _ in combination), changed.decode()
 

@@ -101,7 +101,6 @@ def test_the_family_is_that_of_the_imports_where_none_is_named(place: Place) -> 
     own = candidate(3)
     fitted = f"from asia.models.greybox import Physics\nfrom asia.models import arx\n{own.source}"
     for proposal, family in (
-        (own, own.family or "custom"),
         (replace(own, source=fitted, family=""), "greybox, arx"),
         (replace(own, source=f"{fitted}# named\nx = 1\n", family="reactor"), "reactor"),
     ):
