@@ -23,6 +23,7 @@ from asia import run
 from asia.agents import AgentView, Proposal
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import replay
@@ -91,14 +92,15 @@ def searched(seed: int, retests: int, root: Path) -> tuple[int, int, float]:
 class _Drawn(Evaluator):
     """V of every fit is drawn anew."""
 
-    is_sequential, may_fit_ahead = True, False
+    may_fit_ahead = False
 
     def __init__(self, random: np.random.Generator, scatter: float) -> None:
         self._random, self._scatter, self.fits = random, scatter, 0
+        self.workers = cast(WorkerRunner, SimpleNamespace(is_sequential=True))
 
-    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
         """One more draw."""
-        del source, start
+        del source, start, over
         self.fits += 1
         value = float(np.exp(self._scatter * self._random.normal()))
         fold = SimpleNamespace(y_hat=(np.array([value]),))

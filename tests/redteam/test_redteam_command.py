@@ -116,7 +116,8 @@ def test_two_interrupts_leave_nothing_behind(tmp_path):
                 break
         process.send_signal(signal.SIGTERM)
         said = process.stderr.read()
-    assert process.returncode == 130
+    # The second signal may come while Python ends, after all was said and tidied up.
+    assert process.returncode in (130, -signal.SIGTERM)
     assert "ending" not in said
     assert said.endswith("asia: interrupted\n")
     assert [*tmp_path.iterdir()] == []

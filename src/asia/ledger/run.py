@@ -9,6 +9,7 @@ from typing import Literal
 from asia._diagnostic import error_sentence
 from asia._text import one_line
 from asia.errors import UserError
+from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
@@ -169,8 +170,9 @@ def usability(view: SearchView) -> Usability | None:
     """Judge the model to use by the ledger alone; None while there is no model.
 
     Not usable: worse than the mean of the output in a fold, diverges in the stress simulation,
-    contradicted by the test or a heavy check. Doubtful: folds, fold models or seeds differ, or a
-    nonlinear model is no better than the linear one.
+    contradicted by the test or a heavy check. Doubtful: folds, fold models, seeds or repeated fits
+    differ, a nonlinear model is no better than the linear one, a light check does not pass, or the
+    candidate or the agent could see held-out data.
     """
     best = view.best
     if best is None or best.score is None:
@@ -227,11 +229,13 @@ def usability(view: SearchView) -> Usability | None:
             advice = f"Is the plant an integrator? If not: {advice[:1].lower()}{advice[1:]}"
         (wrong if test.outcome == "diverges" else doubts).append(f"{stress_text(test)} {advice}")
     for validation in view.validated:
+        where = f" on the record {validation.record}" if validation.record else ""
         for check in validation.checks:
-            if check.weight > 1.0 and check.verdict in (Verdict.DOUBT, Verdict.FAIL):
+            if check.verdict in (Verdict.DOUBT, Verdict.FAIL):
                 ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
                 cause = f" ({check.cause})" if check.cause else ""
-                wrong.append(f"The check '{check.name}' {ends}{cause}.")
+                sentence = f"The check '{check.name}' {ends}{where}{cause}."
+                (wrong if check.weight > 1.0 else doubts).append(sentence)
     if linear is not None and value > linear.value:
         doubts.append(f"It is worse than a linear model (V {value:.3g}, {linear.value:.3g}).")
     elif (
@@ -256,6 +260,33 @@ def usability(view: SearchView) -> Usability | None:
             f"The fold models differ by {apart:.2g} standard deviations of the output: record "
             "longer."
         )
+    start, again = view.started, refitted.again if refitted is not None else None
+    errors = [f.diagnostics.train_error for f in best.result.folds] if best.result else []
+    deadline = best.result is not None and best.result.deadline
+    doubts += [
+        sentence
+        for holds, sentence in (
+            (
+                start.isolation == "process",
+                "Candidates ran without isolation and could have read the held-out data.",
+            ),
+            (
+                start.early_stopping == "validation",
+                "Candidates saw their score on the held-out data during training.",
+            ),
+            (start.residuals == "held_out", "The agent saw held-out residuals."),
+            (
+                again is not None and (again.ratio is None or abs(again.ratio - 1.0) > 0.01),
+                "A second fit of the winner failed or gave another error.",
+            ),
+            (
+                consistency(best.score.value, errors) < SUSPICIOUS_RATIO,
+                "The error on held-out data is far below that on training data.",
+            ),
+            (deadline, "The winner's fit reached its deadline, so it depends on the machine."),
+        )
+        if holds
+    ]
     kind = "not usable" if wrong else "doubtful" if doubts else "usable"
     return Usability(kind, (*wrong, *doubts))
 

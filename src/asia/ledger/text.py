@@ -12,6 +12,7 @@ from asia.judge.evaluation.results import POOR
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.description import LiteralCheck
+from asia.judge.scoring.repeated_fits import RANKED
 from asia.ledger.events import (
     Evaluated,
     HandedOver,
@@ -173,11 +174,15 @@ def threshold_text(view: SearchView) -> str:
             f"the fits of #{held.number:02d} do not depend on the seed, so only the variance of "
             "the next candidate sets the threshold"
         )
-    mean = error_value(fmean(values))
-    return (
+    mean, number = error_value(fmean(values)), f"#{held.number:02d}"
+    text = (
         f"a candidate is kept if its mean V is more than {threshold:.2g} below {mean}, the mean of "
-        f"#{held.number:02d} over {len(values)} seeds"
+        f"{number} over {len(values)} seeds"
     )
+    if len(values) >= RANKED:
+        lowest = error_value(min(values))
+        text += f", or V of {RANKED} seeds is below {lowest}, the lowest of {number}"
+    return text
 
 
 def describe_result(e: Experiment, view: SearchView) -> str:
@@ -202,6 +207,8 @@ def describe_result(e: Experiment, view: SearchView) -> str:
         if result.threshold:
             least = f"{result.threshold:.2g}"
             text += f"; threshold: a mean {least} below that of the candidate kept before"
+            if len(result.retests) + 1 >= RANKED and not any(r.same for r in result.retests):
+                text += ", or all seeds below its own"
     elif e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         message = error_line(e.failure.detail)

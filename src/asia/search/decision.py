@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +20,7 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, same_simulations
 from asia.judge.scoring.description import LiteralCheck
 from asia.judge.scoring.outcome import Failure, Outcome, Score
-from asia.judge.scoring.repeated_fits import significance_threshold
+from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.events import Retest, Status
 from asia.ledger.view import SearchView, on_ladder
 from asia.search.literal_check import LiteralCheckFunction
@@ -124,8 +123,8 @@ def _decide_by_retests(
 ) -> Decision:
     """Fit from other seeds until the decision is clear, or there are no more.
 
-    `discard` where it is not lower than the incumbent, `inconclusive` where it is, but not by the
-    threshold. Each as soon as it is certain enough, so most candidates cost no fit more.
+    `discard` where it is not lower than the incumbent, `inconclusive` where it is, but not
+    significantly. Each as soon as it is certain enough, so most candidates cost no fit more.
     """
     known = view.incumbent.seed_values if view.incumbent else ()
     scores = first.validation_scores
@@ -163,24 +162,19 @@ def _decide_by_retests(
                 break
             # A wide threshold would keep better candidates out.
             narrow = significance_threshold(values, values) <= _NARROW * fmean(values)
-            if known and narrow and _is_lower(values, known):
+            if known and narrow and is_lower(values, known):
                 break
     if not known:
         # Nothing to beat; its spread is the first threshold.
         status, threshold = "keep", None
     else:
         threshold = significance_threshold(values, known)
-        lower = failure is None and _is_lower(values, known)
+        lower = failure is None and is_lower(values, known)
         status = "keep" if lower else "inconclusive"
         if fmean(values) >= fmean(known):
             status = "discard"
     timed_out = failure is not None and failure.status == "timeout"
     return Decision(first, status, tuple(retests), threshold, timed_out, scores)
-
-
-def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
-    """Return whether the mean is lower by more than the threshold."""
-    return fmean(known) - fmean(values) > significance_threshold(values, known)
 
 
 def decide_by_one_fit(outcome: Outcome, view: SearchView) -> Status:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import variance
+from statistics import fmean, variance
 from typing import Final
 
 import numpy as np
@@ -41,6 +41,20 @@ def significance_threshold(one: Sequence[float], other: Sequence[float]) -> floa
     pooled = sum((len(values) - 1) * variance(values) for values in repeated) / degrees
     error = math.sqrt(pooled * sum(1.0 / len(values) for values in repeated))
     return student_quantile(_LEVEL, degrees) * error
+
+
+RANKED = 3
+"""Seeds of each candidate from which on ranks alone are significant: by chance all V of one are
+below all of the other in one case of 20 (Mann and Whitney, Annals of Mathematical Statistics 18,
+1947)."""
+
+
+def is_lower(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Return whether V of `one` over its seeds is significantly lower than that of `other`: by the
+    means, or by the ranks, which a few lost fits of the other do not blur."""
+    if fmean(other) - fmean(one) > significance_threshold(one, other):
+        return True
+    return min(len(one), len(other)) >= RANKED and max(one) < min(other)
 
 
 # Comparison of a few candidates over several seeds: differences and expected error.

@@ -559,7 +559,7 @@ def fit_feedback(
         for one in ended
     ]
     best, found = min(finished, key=lambda pair: pair[0].penalty * pair[1].error)
-    starts = () if found.how is None else (found.how,)
+    starts = () if found.past_fit is None else (found.past_fit,)
     members = ((found.params, found.encoder),)
     return FittedStateSpace(best.structure, members, best.core.delay, scaling, None, starts)
 

@@ -4,6 +4,7 @@ Fits go from several starts, and the noise is estimated between them.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -68,8 +69,9 @@ def fit_states(
 ) -> list[StateFit]:
     """Fit from each start, the least cost first.
 
-    With a noise model all fits are continued after each estimate from the best fit's residuals. The
-    log receives iteration and the root of the least cost so far, over all starts.
+    With a noise model all fits are continued after each estimate from the best fit's residuals,
+    with a third of the iterations. The log receives iteration and the root of the least cost so
+    far, over all starts.
 
     Args:
         structure: equations of the model.
@@ -84,12 +86,13 @@ def fit_states(
         stability: cost with which a fit is repeated whose linear part became unstable; None: none.
     """
     trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
+    choice, noise = NoiseChoice.of(method), None
     runs = _Runs(structure, trees, samples, ridge, method, log, stability)
     first = [{**tree, **params} for tree, params in zip(trees, begin or trees, strict=True)]
     if x0 is not None:
         first = [{**tree, "x0": states} for tree, states in zip(first, x0, strict=True)]
     results = runs.fitted(first, None)
-    choice, noise = NoiseChoice.of(method), None
+    runs = runs._replace(method=replace(method, iterations=-(-method.iterations // 3)))
     for _ in range(0 if choice is None else NOISE_ROUNDS):
         assert choice is not None
         best = min(results, key=lambda r: r.cost)

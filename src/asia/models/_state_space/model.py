@@ -73,7 +73,7 @@ def window_samples(context: Context) -> int:
     return min(context.n_past_u, context.n_past_y)
 
 
-def past_fit(
+def encoder_with_past_fit(
     structure: StateSpaceStructure,
     fit: StateFit,
     records: ScaledData,
@@ -102,34 +102,34 @@ def past_fit(
 def fitted_state(
     structure: StateSpaceStructure,
     params: Mapping[str, Any],
-    how: PastFit,
+    past_fit: PastFit,
     guess: AnyArray,
     u: AnyArray,
     y: AnyArray,
 ) -> AnyArray:
     """Fit the state of each window separately; NumPy or JAX.
 
-    The guess (B, n) is that of the state at the first of `how.samples` samples; inputs u (B,
+    The guess (B, n) is that of the state at the first of `past_fit.samples` samples; inputs u (B,
     samples + 1, nu) and outputs y (B, samples, ny) are z-scored. Return the state (B, n) after the
     samples.
     """
     xp, (batch, n) = namespace(guess, u, y), guess.shape
-    ways = _DIFFERENCE * np.concatenate([np.zeros((1, n)), np.diag(how.x_deviation)])
+    ways = _DIFFERENCE * np.concatenate([np.zeros((1, n)), np.diag(past_fit.x_deviation)])
 
     def residuals(x: AnyArray) -> AnyArray:
         """Weighted residuals (B, K, samples ny + n) at states (B, K, n)."""
         points = x.shape[1]
         held, measured = xp.repeat(u[:, :-1], points, axis=0), xp.repeat(y, points, axis=0)
         found = structure.simulate(params, x.reshape(batch * points, n), held)[1]
-        error = ((found - measured) / how.y_deviation).reshape(batch, points, -1)
-        return xp.concatenate([error, (x - guess[:, None]) / how.x_deviation], axis=2)
+        error = ((found - measured) / past_fit.y_deviation).reshape(batch, points, -1)
+        return xp.concatenate([error, (x - guess[:, None]) / past_fit.x_deviation], axis=2)
 
     def cost(x: AnyArray) -> AnyArray:
         return (residuals(x) ** 2).sum(axis=2)
 
     def linearise(x: AnyArray) -> NormalEquations:
         found = residuals(x[:, None] + ways)
-        slope = (found[:, 1:] - found[:, :1]) / (_DIFFERENCE * how.x_deviation[:, None])
+        slope = (found[:, 1:] - found[:, :1]) / (_DIFFERENCE * past_fit.x_deviation[:, None])
         slope, residual = (xp.where(xp.isfinite(a), a, 0.0) for a in (slope, found[:, 0]))
         return NormalEquations(
             (found[:, 0] ** 2).sum(axis=1),
@@ -218,10 +218,12 @@ class FittedStateSpace:
         for i, (params, encoder) in enumerate(self.members):
             x = encoder(features)
             if i < len(self.starts):
-                how = self.starts[i]
-                rows = np.arange(past.shape[1] - how.samples, past.shape[1] + 1) - self.delay
+                past_fit = self.starts[i]
+                rows = np.arange(past.shape[1] - past_fit.samples, past.shape[1] + 1) - self.delay
                 held = known[:, np.maximum(rows, 0)]
-                x = fitted_state(self.structure, params, how, x, held, y[:, -how.samples :])
+                x = fitted_state(
+                    self.structure, params, past_fit, x, held, y[:, -past_fit.samples :]
+                )
             states.append(x)
         return states
 

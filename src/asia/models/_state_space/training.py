@@ -30,8 +30,8 @@ from asia.models._state_space.fit import (
 )
 from asia.models._state_space.model import (
     PastFit,
+    encoder_with_past_fit,
     fitted_state,
-    past_fit,
     starts_of,
     window_samples,
     with_elements,
@@ -247,8 +247,8 @@ def fit_members(
         best, kept = ended[0], ended[: options.members]
         unstable = not (may_be_unstable or is_stable(structure, best.params))
         members = tuple((one.params, one.encoder) for one in kept)
-        how = tuple(one.how for one in kept if one.how is not None)
-        tried.append((unstable, FittedMembers(members, how, best.cost, best.error)))
+        past_fits = tuple(one.past_fit for one in kept if one.past_fit is not None)
+        tried.append((unstable, FittedMembers(members, past_fits, best.cost, best.error)))
         if best.error <= _LOST and not unstable:
             break
     return min(tried, key=lambda one: (one[0], one[1].error))[1]
@@ -259,7 +259,7 @@ class JudgedFit(NamedTuple):
 
     params: dict[str, Any]
     encoder: Encoder  # Map from the past window to the initial state
-    how: PastFit | None  # Fit of the initial state to the past window
+    past_fit: PastFit | None  # Fit of the initial state to the past window
     cost: float
     error: float  # Mean squared error in z-scores of simulations that start from past windows
 
@@ -275,11 +275,11 @@ def judge_fit(
     """Add the map to the initial state to a fit, and simulate from there. The initial states of the
     fit are free: from any other a state that hardly decays may be far off."""
     if with_past_fit and window_samples(context):
-        encoder, how = past_fit(structure, fit, records, context, hidden)
+        encoder, past_fit = encoder_with_past_fit(structure, fit, records, context, hidden)
     else:
-        encoder, how = state_encoder(structure, fit, records, context, hidden), None
-    error = past_window_error(structure, fit.params, encoder, how, records, context)
-    return JudgedFit(fit.params, encoder, how, fit.cost, error)
+        encoder, past_fit = state_encoder(structure, fit, records, context, hidden), None
+    error = past_window_error(structure, fit.params, encoder, past_fit, records, context)
+    return JudgedFit(fit.params, encoder, past_fit, fit.cost, error)
 
 
 def error_on_segments(
@@ -310,7 +310,7 @@ def past_window_error(
     structure: StateSpaceStructure,
     params: dict[str, Any],
     encoder: Encoder,
-    how: PastFit | None,
+    past_fit: PastFit | None,
     records: ScaledData,
     context: Context,
 ) -> float:
@@ -320,10 +320,10 @@ def past_window_error(
     for record in records:
         if len(record) > begin:
             x = encoder(past_windows_before(record, np.array([begin]), context))
-            if how is not None:
-                rows = slice(begin - how.samples, begin)
+            if past_fit is not None:
+                rows = slice(begin - past_fit.samples, begin)
                 known = record.u[None, rows.start : begin + 1]
-                x = fitted_state(structure, params, how, x, known, record.y[None, rows])
+                x = fitted_state(structure, params, past_fit, x, known, record.y[None, rows])
             with np.errstate(all="ignore"):
                 y = structure.simulate(params, x, record.u[None, begin:])[1][0]
                 errors.append(((y - record.y[begin:]) ** 2)[record.counts[begin:] > 0])

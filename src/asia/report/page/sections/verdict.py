@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 
 from asia._text import one_line
 from asia.judge.evaluation.references import CONTROLLERS
-from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
-from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
@@ -36,40 +34,6 @@ from asia.report.simulated import (
 _BETTER = 0.95
 
 
-def doubts(subject: Subject) -> Iterator[str]:
-    """Yield the objections against the model and its figures, as sentences."""
-    view, best = subject.view, subject.view.best
-    if best is None or best.score is None:
-        return
-    value = best.score.value
-    judged = usability(view)
-    for reason in () if judged is None else judged.reasons:
-        start = reason[:2] if reason.startswith("V ") else reason[:2].lower()
-        yield f"{start}{reason[2:]}".rstrip(".")
-    if view.started.isolation == "process":
-        yield "candidates ran without isolation and could have read the held-out data"
-    if view.started.early_stopping == "validation":
-        yield "candidates saw their score on the held-out data during training"
-    if view.started.residuals == "held_out":
-        yield "the agent saw held-out residuals"
-    again = view.refitted.again if view.refitted else None
-    if again is not None and again.ratio != 1.0:
-        yield "refitting the winner gave a different result"
-    for validation in view.validated:
-        where = f" on the record {validation.record}" if validation.record else ""
-        for check in validation.checks:
-            if check.verdict in (Verdict.DOUBT, Verdict.FAIL) and check.weight <= 1.0:
-                ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
-                cause = f" ({check.cause})" if check.cause else ""
-                yield f"the check '{check.name}' {ends}{where}{cause}"
-    result = result_of(best)
-    fitted = [fold.diagnostics.train_error for fold in result.folds]
-    if consistency(value, fitted) < SUSPICIOUS_RATIO:
-        yield "the error on held-out data is far below that on training data"
-    if result.deadline:
-        yield "the winner's fit reached its deadline, so it depends on the machine"
-
-
 def _false_scores(subject: Subject) -> Iterator[str]:
     """Yield the alarms of the search, without figures."""
     view, best = subject.view, subject.view.best
@@ -89,10 +53,8 @@ def stamp(subject: Subject) -> tuple[str, str]:
     if view.best is None:
         return "No model", "none"
     judged = usability(view)
-    if judged is not None and judged.kind == "not usable":
-        return "Not usable", "none"
-    if next(doubts(subject), None) is not None:
-        return "Doubtful", "doubt"
+    if judged is not None and judged.kind != "usable":
+        return judged.kind.capitalize(), "none" if judged.kind == "not usable" else "doubt"
     return ("Usable", "good") if view.validated else ("Usable, not validated", "shown")
 
 
@@ -195,16 +157,16 @@ def _test(subject: Subject) -> Html:
 
 
 def _trust(subject: Subject, kind: str) -> Html:
-    against, view = list(doubts(subject)), subject.view
+    judged, view = usability(subject.view), subject.view
     found, parameters = identified(subject.run), ""
     if found is not None and found.disagreeing:
         parameters = (
             f" The folds disagree on {listed(found.disagreeing)}: the system drifts, or an effect "
             "is missing."
         )
-    if against:
+    if judged is not None and judged.reasons:
         start = "Do not use this model" if kind == "none" else "Use it with care"
-        return join((f"{start}: ", said("; ".join(against), 2000), f".{parameters}"))
+        return join((f"{start}. ", said(" ".join(judged.reasons), 2000), parameters))
     text = f"No candidate saw its validation data.{parameters}"
     if view.refitted and view.refitted.again:
         text += " Refitting the winner gave the same result."
