@@ -4,10 +4,11 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any
 
 from asia._text import coarse, one_line
+from asia.judge.evaluation.results import POOR
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.description import LiteralCheck
@@ -382,10 +383,16 @@ _MOST_PARAMETERS = 6
 _MOST_PRINTED = 10
 
 
-def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> list[str]:
-    """About 40 lines at most. measured: with seconds and memory, which another machine would not
-    repeat."""
-    lines: list[str] = []
+def evidence_lines(
+    evidence: ExperimentEvidence, seeds: Sequence[float] = (), *, measured: bool = True
+) -> list[str]:
+    """About 40 lines at most.
+
+    Args:
+        seeds: V of the fits from each seed
+        measured: with seconds and memory, which another machine would not repeat
+    """
+    lines = list(minima_lines([one.diagnostics.train_error for one in evidence.folds], seeds))
     if evidence.differences:
         parts = [
             f"{d.value:+.4f} ({100 * d.share:+.1f} %) against #{d.experiment:02d}, the {d.role}"
@@ -405,6 +412,31 @@ def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> li
     if any(one.held_out_residuals for one in findings):
         lines += _residual_lines(evidence, evidence.held_out_residuals, "on the held-out samples")
     return [*lines, *_printed_lines(evidence)]
+
+
+def minima_lines(training_errors: Sequence[float], seeds: Sequence[float] = ()) -> Iterator[str]:
+    """Say that fits probably end in different minima, and what helps; nothing where they agree.
+
+    Args:
+        training_errors: one a fold
+        seeds: V of the fits from each seed
+    """
+    found: list[str] = []
+    for number, error in enumerate(training_errors, 1):
+        others = [*training_errors[: number - 1], *training_errors[number:]]
+        if others and error > POOR * median(others):
+            found.append(
+                f"the training error of fold {number} is {error / max(median(others), 1e-300):.2g} "
+                "times that of the others"
+            )
+    if len(seeds) > 1 and max(seeds) > POOR * min(seeds):
+        found.append(f"V of the seeds is {', '.join(error_value(value) for value in seeds)}")
+    if found:
+        yield f"fits end in different minima: {'; '.join(found)}"
+        yield (
+            "  first: more `starts` or iterations, narrower parameter ranges, parameters scaled to "
+            "the size of their effect or equations around a working point"
+        )
 
 
 def _fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str]:

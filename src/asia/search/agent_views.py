@@ -118,7 +118,8 @@ def agent_view(
             bounded = view.started.ladder is not None
             found = evidence_of(e, view, store, settings, bounded=bounded)
             # Without measured seconds and memory. Prompts of older ledgers must not change.
-            lines = evidence_lines(found, measured=False) if found.recorded else ()
+            seeds = () if bounded else e.seed_values
+            lines = evidence_lines(found, seeds, measured=False) if found.recorded else ()
             shares = dict[str, float]()
             for one in (c for fold in found.findings for c in fold.checks or ()):
                 shares[one.name] = max(one.weight, shares.get(one.name, 0.0))

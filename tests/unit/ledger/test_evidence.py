@@ -22,7 +22,7 @@ from asia.ledger.evidence import (
     put_findings,
     shared_residuals,
 )
-from asia.ledger.text import evidence_lines, last_lines, parameter_lines
+from asia.ledger.text import evidence_lines, last_lines, minima_lines, parameter_lines
 from asia.ledger.view import Experiment, SearchView, published, replay
 
 from .conftest import proposed, started
@@ -206,6 +206,35 @@ def test_many_outputs_and_folds_stay_one_screen(store: Store) -> None:
         parameters=parameter_spreads([many, other]),
     )  # fmt: skip
     assert len(evidence_lines(shown)) <= 50
+
+
+@pytest.mark.parametrize(
+    ("training", "seeds", "words"),
+    [
+        ((0.010, 0.011, 0.0809), (0.0364,), "training error of fold 3 is 7.7 times"),
+        ((0.010, 0.011, 0.012), (0.0364, 0.0163, 0.0751), "V of the seeds is 0.0364, 0.0163, "),
+        ((0.010, 0.019, 0.011), (0.036, 0.034), ""),
+        ((0.1,), (0.2,), ""),
+        ((), (), ""),
+    ],
+)
+def test_fits_that_end_in_different_minima_are_named(
+    training: tuple[float, ...], seeds: tuple[float, ...], words: str
+) -> None:
+    found = list(minima_lines(training, seeds))
+    assert bool(found) is bool(words)
+    if words:
+        assert found[0].startswith("fits end in different minima: ")
+        assert words in found[0]
+        for remedy in ("`starts`", "narrower parameter ranges", "around a working point"):
+            assert remedy in found[1]
+
+
+def test_different_minima_come_first(store: Store) -> None:
+    seen = view(store, SCORE)
+    found = evidence_of(seen.experiment(1), seen, store, SETTINGS, bounded=False)
+    assert not evidence_lines(found)[0].startswith("fits end")
+    assert evidence_lines(found, (0.1, 0.3))[0].startswith("fits end in different minima: V of")
 
 
 def test_the_noise_of_repeats_comes_from_fits_of_one_source(store: Store) -> None:

@@ -109,6 +109,12 @@ def families_page(facts: Facts) -> str:
         "prints all about one family."
     )
     lines += ["", "| family | what it is for | trained by | s |", "|---|---|---|---|"]
+    if facts.physics is None:
+        lines.append(
+            "| `greybox` | equations of your own (at the end), first where balances of mass, energy"
+            " or forces are plausible; known constants and a working point are welcome "
+            "| `LevenbergMarquardt` | - |"
+        )
     for row, recipe in zip(rows, recipes, strict=True):
         fits = (recipe, row.full(facts))
         seconds = dict.fromkeys(f"{max(1.0, row.seconds(facts, fit)):.0f}" for fit in fits)

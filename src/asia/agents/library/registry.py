@@ -3,6 +3,7 @@
 Every function raises UserError as `all_cards` does.
 """
 
+import ast
 import pkgutil
 from functools import cache
 from importlib import import_module
@@ -14,7 +15,8 @@ from asia.agents.library.family import Family
 from asia.agents.library.move import Card
 from asia.agents.library.recipe import MODELS
 from asia.agents.view import Facts
-from asia.errors import UserError
+from asia.candidate import source_tree
+from asia.errors import CandidateError, UserError
 
 GROUP = "asia.families"
 
@@ -55,6 +57,24 @@ def families(facts: Facts) -> tuple[Family, ...]:
     """The rows that suit a problem, the most apt first."""
     rows = [row for row in all_families() if row.suits(facts)]
     return tuple(sorted(rows, key=lambda row: -row.aptness(facts)))
+
+
+def imported_families(source: str) -> str:
+    """Return the names of the families that a candidate imports, such as `greybox, linear`; "" for
+    none and for a source that is no Python."""
+    try:
+        tree = source_tree(source)
+    except CandidateError:
+        return ""
+    imported = [
+        name
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom) and node.module is not None
+        for alias in node.names
+        for name in (f"{node.module}.{alias.name}", node.module)
+    ]
+    known = {f"{row.package}.{row.name}": row.name for row in all_families()}
+    return ", ".join(dict.fromkeys(known[name] for name in imported if name in known))
 
 
 def family(name: str) -> Family | None:

@@ -162,7 +162,12 @@ def try_(
     parent: Annotated[
         int | None, typer.Option(help="Experiment that the candidate was derived from.")
     ] = None,
-    family: Annotated[str, typer.Option(help="Kind of model, in a word or two.")] = "",
+    family: Annotated[
+        str,
+        typer.Option(
+            help="Kind of model, in a word or two; default: the families that the source imports."
+        ),
+    ] = "",
     folder: Annotated[
         Path, typer.Option("--dir", help="A workspace, or a folder inside one.")
     ] = Path(),

@@ -185,7 +185,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     )
     if evidence.recorded:
         console.print("\nevidence", style="bold")
-        for line in evidence_lines(evidence):
+        for line in evidence_lines(evidence, experiment.seed_values):
             console.print(line)
     elif r.output:
         console.print("\nprinted while fitting (untrusted)", style="bold")

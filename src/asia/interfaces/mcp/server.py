@@ -146,7 +146,10 @@ class Tools:
             str,
             Field(description="What you expect of V and of the residuals, in words or a number."),
         ],
-        family: Annotated[str, Field(description="Kind of model, a word or two.")] = "",
+        family: Annotated[
+            str,
+            Field(description="Kind of model, a word or two; default: families it imports."),
+        ] = "",
         parent: Annotated[
             int | None, Field(description="Experiment that it was made from.")
         ] = None,

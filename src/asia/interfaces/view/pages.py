@@ -157,7 +157,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     if e.result is not None and store.kept:
         settings = settings_of_run(run.directory)
         found = evidence_of(e, subject.view, store, settings, bounded=False)
-        lines = evidence_lines(found) if found.recorded else []
+        lines = evidence_lines(found, e.seed_values) if found.recorded else []
         if not lines and e.result.output:
             lines = store.text(e.result.output).splitlines()[-20:]
     evidence = None

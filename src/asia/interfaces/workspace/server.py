@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, Self, get_type_hints
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from asia._text import coarse, one_line
+from asia.agents.library.registry import imported_families
 from asia.agents.view import Proposal
 from asia.candidate import check_source
 from asia.errors import CandidateError, Reason, SandboxError, UserError
@@ -40,7 +41,7 @@ from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Stopped
 from asia.ledger.evidence import ComparedScore, evidence_of, settings_of_run
 from asia.ledger.run import Run, open_run
-from asia.ledger.text import error_line, evidence_lines, last_lines
+from asia.ledger.text import error_line, evidence_lines, last_lines, method_note
 from asia.ledger.view import Experiment, published
 from asia.report.simulated import SimulatedCases
 from asia.search.agent_views import digest
@@ -318,6 +319,10 @@ class ExperimentEvidence:
         bounded = run.view.started.ladder is not None
         found = evidence_of(experiment, run.view, run.store, setting, bounded=bounded)
 
+        lines = evidence_lines(found, () if bounded else experiment.seed_values)
+        if not bounded and (note := method_note(run.view)):
+            lines.append(f"keep and best: {note}")
+
         def by_output(values: Sequence[float]) -> dict[str, float]:
             return dict(zip((s.name for s in setting.outputs), values, strict=False))
 
@@ -340,7 +345,7 @@ class ExperimentEvidence:
                 )
             )
         return cls(
-            lines=tuple(evidence_lines(found)),
+            lines=tuple(lines),
             folds=tuple(folds),
             residuals=tuple(
                 r.residual.words(setting.inputs, setting.outputs) for r in found.residuals
@@ -638,7 +643,7 @@ def tidy(proposal: Proposal) -> Proposal:
         raise UserError("a candidate needs a hypothesis: what you expect of it, and why")
     return Proposal(
         source=proposal.source,
-        family=one_line(proposal.family, 40) or "custom",
+        family=one_line(proposal.family or imported_families(proposal.source), 40) or "custom",
         title=one_line(proposal.title, TITLE) or hypothesis[:TITLE],
         hypothesis=hypothesis,
         expected=one_line(proposal.expected, TEXT) or "not said",

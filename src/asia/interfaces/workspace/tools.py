@@ -20,6 +20,8 @@ import numpy as np
 
 from asia._files import read_text
 from asia._text import say, suggestion
+from asia.agents.library.pages import config_of, method_of, options_of
+from asia.agents.library.recipe import MODELS
 from asia.candidate import (
     VALIDATION_SCORES,
     Context,
@@ -34,7 +36,7 @@ from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
 from asia.interfaces.workspace.workspace import SCORED, scored_locally
-from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes
+from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes, steps_ahead
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
 from asia.judge.evaluation.results import ATTEMPT, best_attempt, derive_seed
@@ -49,6 +51,7 @@ from asia.judge.scoring.residuals import (
     with_input,
     with_own_past,
 )
+from asia.ledger.text import minima_lines
 from asia.problem.folds import Block, Fold, make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
@@ -272,6 +275,7 @@ def tables(
     metric = find_metric(problem.protocol.metric)
     name = "V" if whole else f"{metric.v_label}, folds of your own or not all of them"
     yield f"{name} = {combine([one.score for one in folds]).value:.6f}"
+    yield from minima_lines([one.training_score.value for one in folds])
     limit = problem.budget.fit_seconds
     for one in folds:
         ratio = one.score.value / one.training_score.value
@@ -367,6 +371,10 @@ def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) ->
             f"  {_name(one)}: initial state {first}, offset and drift {found.slow:.0%}, dynamics "
             f"and noise {found.dynamics:.0%}"
         )
+        ahead = steps_ahead(one.model, one.fold.held_out, one.y_hat, one.fold.scale)
+        if ahead:
+            text = ", ".join(f"{e:.2g} at step {k}" for k, e in ahead.items())
+            yield f"    after starts from measured samples, in s.d. of the output: {text}"
         course = " ".join(f"{e:.2g}" for e in found.over_time)
         yield f"    over the block, tenths, in s.d. of the output: {course}"
         bands = zip(found.frequencies, found.frequencies[1:], found.bands, strict=False)
@@ -480,36 +488,58 @@ def variants(source: str, settings: Sequence[str]) -> Iterator[tuple[str, str]]:
     Args:
         settings: `order=1,2,3`, each the name of one keyword argument in the source and its values
 
+    A setting that the source does not write is added to the one call that takes it, of a `Config`
+    or of a training method of the library.
+
     Raises:
-        UserError: for a setting that is not in the source exactly once
+        UserError: for a setting that is in the source several times, or that no call takes
     """
+    # Where a value goes, what comes before it, and its choices.
     places: list[tuple[int, int]] = []
-    choices: list[list[tuple[str, str]]] = []
+    choices: list[list[tuple[str, str, str]]] = []
     lines = np.cumsum([0, *(len(line) for line in source.encode().splitlines(keepends=True))])
+    calls = [node for node in ast.walk(source_tree(source)) if isinstance(node, ast.Call)]
     for text in settings:
         name, _, values = text.partition("=")
-        found = [
-            key.value
-            for node in ast.walk(source_tree(source))
-            if isinstance(node, ast.Call)
-            for key in node.keywords
-            if key.arg == name
-        ]
-        if len(found) != 1 or not values:
+        found = [key.value for node in calls for key in node.keywords if key.arg == name]
+        takers = [node for node in calls if not found and name in _options(node)]
+        if len(found) + len(takers) != 1 or not values:
             raise UserError(
-                f"--vary {text}: expected NAME=VALUE,VALUE with a keyword argument that the "
-                f"candidate gives once; '{name}' is there {len(found)} times"
+                f"--vary {text}: expected NAME=VALUE,VALUE with a setting that the candidate "
+                f"writes once, or that one call of Config or a training method takes; '{name}' is "
+                f"written {len(found)} times, and {len(takers)} calls take it: write {name}=VALUE "
+                "once"
             )
-        (value,) = found
-        assert value.end_lineno is not None and value.end_col_offset is not None  # noqa: PT018
-        first, last = int(lines[value.lineno - 1]), int(lines[value.end_lineno - 1])
-        places.append((first + value.col_offset, last + value.end_col_offset))
-        choices.append([(name, _literal(word)) for word in values.split(",")])
+        (node,) = (*found, *takers)
+        assert node.end_lineno is not None and node.end_col_offset is not None  # noqa: PT018
+        begin = int(lines[node.lineno - 1]) + node.col_offset
+        end = int(lines[node.end_lineno - 1]) + node.end_col_offset
+        before = ""
+        if isinstance(node, ast.Call) and takers:
+            # Before the closing parenthesis, and after a last comma.
+            end = begin = end - 1
+            is_first = (begin, end) not in places
+            is_first &= source.encode()[:end].rstrip().endswith((b"(", b","))
+            before = f"{'' if is_first else ', '}{name}="
+        places.append((begin, end))
+        choices.append([(name, word, before) for word in map(_literal, values.split(","))])
     for combination in itertools.product(*choices):
         changed = source.encode()
-        for (begin, end), (_, word) in sorted(zip(places, combination, strict=True), reverse=True):
-            changed = changed[:begin] + word.encode() + changed[end:]
-        yield ", ".join(f"{name}={word}" for name, word in combination), changed.decode()
+        edits = zip(places, range(len(places)), combination, strict=True)
+        for (begin, end), _, (_, word, before) in sorted(edits, reverse=True):
+            changed = changed[:begin] + f"{before}{word}".encode() + changed[end:]
+        yield ", ".join(f"{name}={word}" for name, word, _ in combination), changed.decode()
+
+
+def _options(call: ast.Call) -> tuple[str, ...]:
+    """Names of the options of a call such as `greybox.Config()` or `LevenbergMarquardt()`; () for
+    any other call."""
+    words = ast.unparse(call.func).split(".")
+    try:
+        settings = config_of(MODELS, words[-2]) if words[-1] == "Config" else method_of(words[-1])
+        return tuple(option.name for option in options_of(settings))
+    except (ImportError, AttributeError, IndexError, ValueError):
+        return ()
 
 
 def _literal(word: str) -> str:
@@ -529,7 +559,13 @@ def main(tools: WorkspaceTools) -> NoReturn:
         prog="tools.py", description="Score a candidate on training folds, as the evaluator does."
     )
     add = parser.add_argument
-    add("candidate", nargs="?", default="candidate.py", help="the file to score")
+    add(
+        "candidates",
+        nargs="*",
+        default=["candidate.py"],
+        metavar="FILE",
+        help="files to score, default candidate.py; several print one row each",
+    )
     add("--seed", type=int, help="seeds of the fits; several show the spread of V")
     add("--fold", type=int, help="this fold alone, from 1")
     add("--blocks", type=int, help="folds of your own: number of parts of each record")
@@ -540,7 +576,8 @@ def main(tools: WorkspaceTools) -> NoReturn:
         "--vary",
         action="append",
         metavar="NAME=VALUES",
-        help="values of a setting: order=2,3",
+        help="values of a setting of Config or of the training method, one row each: order=2,3; a "
+        "setting that the candidate leaves out is added to the call that takes it",
     )
     add("--why", action="store_true", help="parts of the error, modes, missing terms")
     add("--plot", action="store_true", help="draw simulation and residuals into plots/")
@@ -580,23 +617,25 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         if not 1 <= options.fold <= len(folds):
             raise UserError(f"there is no fold {options.fold}: expected 1 to {len(folds)}")
         folds = folds[options.fold - 1 : options.fold]
-    if options.vary:
-        source = read_text(tools.folder / options.candidate, "name a candidate, as Python source")
-        for name, changed in variants(source, options.vary):
-            try:
-                tried = tools.evaluate_source(changed, folds)
-            except CandidateError as error:
-                say(f"no V       {name}: {error.reason.advice}", flush=True)
-                continue
-            values = [one.score.value for one in tried]
-            each = ", ".join(f"{value:.4f}" for value in values)
-            seconds = sum(one.seconds for one in tried)
-            mean = combine([one.score for one in tried]).value
-            say(f"V {mean:.6f} {name} (folds {each}; fit {seconds:.1f} s)", flush=True)
+    if options.vary or len(options.candidates) > 1:
+        if options.why or options.plot:
+            raise UserError("--why and --plot are for one candidate: leave out --vary, other files")
+        for path in options.candidates:
+            source = read_text(tools.folder / path, "name a candidate, as Python source")
+            for name, changed in variants(source, options.vary or ()):
+                label = " ".join((path,) * (len(options.candidates) > 1) + (name,) * bool(name))
+                try:
+                    tried = tools.evaluate_source(changed, folds)
+                except CandidateError as error:
+                    say(f"no V       {label}: {error.reason.advice}", flush=True)
+                    continue
+                for line in _row(label, tried):
+                    say(line, flush=True)
         if not own and scored_locally(tools.folder) > 1:
             say(_scored(tools))
         return
-    found = tools.evaluate(options.candidate, folds)
+    (candidate,) = options.candidates
+    found = tools.evaluate(candidate, folds)
     whole = not own and len(found) == len(tools.folds)
     held_out = options.held_out or tools.rule.residuals == "held_out"
     for line in tables(tools.problem, found, whole=whole, held_out=held_out):
@@ -607,9 +646,28 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         for line in analysis(tools.problem, found, held_out=held_out):
             say(line)
     if options.plot:
-        title = str(options.candidate)
-        for name in draw(tools.folder, tools.problem, title, found, held_out=held_out):
+        for name in draw(tools.folder, tools.problem, candidate, found, held_out=held_out):
             say(f"picture {name}")
+
+
+_MOST_PARAMETERS = 8
+
+
+def _row(label: str, folds: Sequence[LocalFold]) -> Iterator[str]:
+    """V of one of several candidates, and the means of its first parameters over the folds."""
+    each = ", ".join(f"{one.score.value:.4f}" for one in folds)
+    training = ", ".join(f"{one.training_score.value:.4f}" for one in folds)
+    seconds = sum(one.seconds for one in folds)
+    yield (
+        f"V {combine([one.score for one in folds]).value:.6f} {label} (folds {each}; training "
+        f"{training}; fit {seconds:.1f} s)"
+    )
+    tables = [one.parameters for one in folds]
+    names = [name for name in tables[0] if all(name in table for table in tables)]
+    if names:
+        means = (f"{n} {np.mean([t[n] for t in tables]):.4g}" for n in names[:_MOST_PARAMETERS])
+        more = f", {len(names) - _MOST_PARAMETERS} more" if len(names) > _MOST_PARAMETERS else ""
+        yield f"    parameters, mean of the folds: {', '.join(means)}{more}"
 
 
 def _scored(tools: WorkspaceTools) -> str:

@@ -71,10 +71,12 @@ TOOLS = '''"""Scores a candidate on training records as the evaluator does, and 
 
     python tools.py                   candidate.py on the folds of V
     python tools.py best.py --fold 1  another file, one fold
+    python tools.py a.py b.py         several files, one row each
     python tools.py --blocks 5        folds of your own: each record in five parts
     python tools.py --hold-out A,B    a fold of your own: these records held out, the others train
     python tools.py --seed 1          another seed of the fits: spread of V
-    python tools.py --vary order=2,3  V for values of a setting; repeatable, for combinations
+    python tools.py --vary order=2,3  V for values of a setting, also one that candidate.py leaves
+                                      at its default; repeatable, for combinations
     python tools.py --why             parts of the error, modes, terms that may be missing
     python tools.py --plot            also draw simulation and residuals into plots/
 

@@ -274,6 +274,27 @@ def error_parts(
     )
 
 
+_STEPS = (1, 5, 20)
+
+
+def steps_ahead(
+    model: Model, blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array
+) -> dict[int, float]:
+    """Return the RMS error at some steps after starts from measured past windows, in standard
+    deviations of the outputs.
+
+    An error at the first step is in the dynamics or in the initial state; one that only grows later
+    has accumulated. {} for a model without steps, and for blocks that are too short.
+    """
+    shortest = min(len(b.y) for b in blocks)
+    steps = [k for k in _STEPS if k <= shortest]
+    if not isinstance(model, StepModel) or not steps:
+        return {}
+    of = windows(blocks, y_hat, steps[-1])
+    e = (of.y.transpose(1, 0, 2) - rollout(model, of).y) / scale
+    return {k: float(np.sqrt(np.mean(e[k - 1] ** 2))) for k in steps}
+
+
 def _spectrum(errors: Sequence[Array], sampling_time: float) -> tuple[Array, Array]:
     """Five bands from 0 to the Nyquist frequency, of equal width on a logarithmic axis, and the
     share of the squared error in each."""

@@ -209,9 +209,11 @@ def score_outputs(
 
 T = TypeVar("T")
 
-# Training error of a fold, relative to the median of the other folds, above which its fit is
-# repeated; number of repetitions.
-_POOR, _ATTEMPTS = 2.0, 2
+POOR = 2.0
+"""Training error of a fold, relative to the median of the other folds, above which its fit is
+repeated."""
+_ATTEMPTS = 2
+"""Number of repetitions."""
 
 ATTEMPT = 1_000
 """Distance of the starts from which a fit is repeated, see `derive_seed`."""
@@ -233,7 +235,7 @@ def best_attempt(
     """
     best = first
     for attempt in range(1, _ATTEMPTS + 1):
-        if training_error(best) <= _POOR * median(others):
+        if training_error(best) <= POOR * median(others):
             break
         again = fit(attempt)
         if again is None:

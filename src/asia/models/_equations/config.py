@@ -44,7 +44,8 @@ class Config:
     robust: float | None = None
     """Huber threshold in standard deviations of the output; None is least squares."""
     substeps: int = 2
-    """Runge-Kutta steps a sample."""
+    """Runge-Kutta steps of order 4 from one sample to the next; the inputs are held meanwhile
+    (zero-order hold)."""
     initial: Initial | None = None
     """Initial state of a simulation: "measured" takes the last measured outputs, where every state
     is an output; "estimated" uses the whole past window. None is measured with a horizon, where

@@ -155,6 +155,7 @@ def test_the_analysis_is_printed_and_a_reader_may_end_early(tools: WorkspaceTool
         words, cwd=tools.folder, env=environment, capture_output=True, text=True, check=True
     )
     assert "parts of the held-out error" in done.stdout
+    assert "after starts from measured samples" in done.stdout
     assert "missing terms, score test on the training part" in done.stdout
     piped = f"{sys.executable} tools.py | head -n 1"
     done = subprocess.run(
@@ -242,8 +243,31 @@ def test_variants_are_all_combinations_of_the_values() -> None:
     (text,) = (source for _, source in variants("f(noise=None, é='ü', order=2)\n", ["noise=slow"]))
     assert text == "f(noise='slow', é='ü', order=2)\n"
     for wrong in ("order=1,2", "iterations", "iterations="):
-        with pytest.raises(UserError, match="a keyword argument that the candidate gives once"):
+        with pytest.raises(UserError, match=r"a setting that the candidate writes once, or that"):
             list(variants(GREYBOX, [wrong]))
+
+
+def test_a_setting_that_is_not_written_is_added_to_the_call_that_takes_it() -> None:
+    source = """from asia.models import arx
+from asia.models.methods import LevenbergMarquardt
+
+def fit(trajectories, context):
+    model = arx.build(arx.Config(), context)
+    return arx.train(model, trajectories, context, LevenbergMarquardt(
+        iterations=2,
+    ))
+"""
+    (name, text), *_ = variants(source, ["starts=4,8"])
+    assert name == "starts=4"
+    assert "iterations=2,\n    starts=4)" in text
+    (text,) = (t for _, t in variants(source, ["na=3", "iterations=5", "nb=2"]))
+    assert "arx.Config(na=3, nb=2)" in text
+    assert "iterations=5," in text
+    with pytest.raises(UserError, match="'order' is written 0 times, and 0 calls take it: write"):
+        list(variants(source, ["order=2"]))
+    twice = source + "\nOTHER = arx.Config()\n"
+    with pytest.raises(UserError, match="'na' is written 0 times, and 2 calls take it"):
+        list(variants(twice, ["na=2"]))
 
 
 @pytest.mark.slow
@@ -266,12 +290,28 @@ def fit(trajectories, context):
     with pytest.raises(SystemExit) as end:
         main(tools)
     said = capsys.readouterr().out.splitlines()
-    assert (end.value.code, len(said)) == (0, 3)
+    rows = [line for line in said if line.startswith("V ")]
+    assert (end.value.code, len(rows)) == (0, 2)
     value = combine([one.score for one in tools.evaluate()]).value
-    assert said[1].startswith(f"V {value:.6f} na=2 (folds ")
-    assert "optimistic" in said[2]
+    assert rows[1].startswith(f"V {value:.6f} na=2 (folds ")
+    assert "; training " in rows[1]
+    assert "optimistic" in said[-1]
+    (tools.folder / "other.py").write_text(library.replace("na=2", "na=1"))
+    monkeypatch.setattr(sys, "argv", ["tools.py", "candidate.py", "other.py"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    files = [line for line in capsys.readouterr().out.splitlines() if line.startswith("V ")]
+    assert [line.split(" (")[0] for line in files] == [
+        f"V {value:.6f} candidate.py",
+        rows[0].split(" (")[0].replace("na=1", "other.py"),
+    ]
+    monkeypatch.setattr(sys, "argv", ["tools.py", "candidate.py", "other.py", "--why"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    assert end.value.code == 2
+    assert "for one candidate" in capsys.readouterr().err
     monkeypatch.setattr(sys, "argv", ["tools.py", "--vary", "none=1"])
     with pytest.raises(SystemExit) as end:
         main(tools)
     assert end.value.code == 2
-    assert "'none' is there 0 times" in capsys.readouterr().err
+    assert "'none' is written 0 times" in capsys.readouterr().err

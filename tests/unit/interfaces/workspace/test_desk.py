@@ -97,6 +97,18 @@ def test_words_are_bounded_and_stay_on_their_line(place: Place) -> None:
     assert one_line("x" * 500).endswith("…")
 
 
+def test_the_family_is_that_of_the_imports_where_none_is_named(place: Place) -> None:
+    own = candidate(3)
+    fitted = f"from asia.models.greybox import Physics\nfrom asia.models import arx\n{own.source}"
+    for proposal, family in (
+        (replace(own, source=fitted, family=""), "greybox, arx"),
+        (replace(own, source=f"{fitted}# named\nx = 1\n", family="reactor"), "reactor"),
+    ):
+        waiting = Queue(place.directory).get(place.desk.submit(proposal).ticket)
+        assert waiting is not None
+        assert waiting.family == family
+
+
 def test_the_same_source_is_one_submission(served: tuple[Place, str]) -> None:
     place, ticket = served
     assert place.desk.submit(replace(candidate(2), source=arx(2) + "# a comment\n")) == Submission(

@@ -1,6 +1,6 @@
 """The analysis of an error finds what was planted in a simulated oscillator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from asia.judge.evaluation.error_analysis import (
     error_parts,
     missing_terms,
     modes,
+    steps_ahead,
     terms_beyond_linear,
 )
 from asia.problem.folds import Block, Case
@@ -72,6 +73,19 @@ def first(system: Oscillator, bend: float = 0.0, model: Any = None) -> tuple[str
     block, y_hat = records(system, Oscillator(), bend)
     found = missing_terms([model or Oscillator()], [[block]], [[y_hat]], ["u"], ["y"])
     return (found[0].term, found[0].where) if found else None
+
+
+def test_steps_ahead_tell_an_error_of_the_dynamics_from_one_that_accumulates() -> None:
+    scale = np.ones(1)
+    stiff, biased = Oscillator(cubic=0.5), Oscillator()
+    for system, bend in ((stiff, 0.0), (biased, 0.2)):
+        block, y_hat = records(system, biased, bend)
+        block = replace(block, y=block.y[:, :1])
+        found = steps_ahead(biased, [block], [y_hat], scale)
+        assert list(found) == [1, 5, 20]
+        assert found[20] > found[1]
+    assert steps_ahead(Blind(biased), [block], [y_hat], scale) == {}
+    assert list(steps_ahead(biased, [replace(block, y=block.y[:7])], [y_hat[:7]], scale)) == [1, 5]
 
 
 @pytest.mark.slow

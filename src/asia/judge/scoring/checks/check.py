@@ -23,7 +23,7 @@ class Cause(StrEnum):
 
     DYNAMICS = "a delay or a state is missing"
     STATIC = "a saturation or another static nonlinearity is missing"
-    FRICTION = "friction is missing"
+    FRICTION = "friction, play or hysteresis is missing"
     DRIFT = "a drift is missing"
     UNSTABLE = "a pole is unstable"
     SIGN = "a gain has the wrong sign"

@@ -158,7 +158,10 @@ _LONGEST, _SHORTEST = 256, 16
 _COHERENT = 0.8
 # Below it the gain of the data is mostly noise, and is not drawn.
 _DRAWN = 0.5
-_OFF, _FAR_OFF = 0.25, 0.5
+# Relative difference of the gains, and the part of the residual at the frequencies with as much, in
+# standard deviations of the output, from which it counts: of a frequency at which the output has
+# next to no power, the records say nothing that matters.
+_DOUBTS, _FAILS = (0.25, 0.005), (0.5, 0.02)
 _CHANCE = 1e-4
 _TOO_SHORT = (
     "does not apply: the simulations are too short for a spectrum, which needs "
@@ -168,7 +171,8 @@ _TOO_SHORT = (
 
 @dataclass(frozen=True)
 class Spectra:
-    """Spectral densities of one input, an output and its residual, by Welch's method."""
+    """Power of one input, an output and its residual by frequency, by Welch's method: each line's
+    part of the variance."""
 
     frequency: Array
     """(F,) in Hz."""
@@ -201,6 +205,7 @@ def spectra(
     if length < _SHORTEST:
         return None
     window = np.hanning(length + 1)[:-1]
+    window *= np.sqrt(2.0 / (length * np.sum(window**2)))
     lines = [np.zeros((0, length // 2 + 1), np.complex128)] * 3
     for parts in zip(u, y, e, strict=True):
         starts = range(0, len(parts[0]) - length + 1, length // 2)
@@ -251,8 +256,7 @@ def check_frequency_response(data: ValidationData) -> Check:
     found, linear = data.simulations, data.linear_responses
     title, axes = "frequency response", ("frequency [Hz]", "gain")
     drawn: list[CheckCurve] = []
-    # Relative difference, frequency, coherence, and which input and output.
-    worst: tuple[float, str, float, str] | None = None
+    worst: tuple[_Deviation, str] | None = None
     for number, name in enumerate(found.inputs):
         for k, output in enumerate(found.outputs):
             y, e = [b.complete_y[:, k] for b in found.blocks], found.residuals(k)
@@ -261,46 +265,84 @@ def check_frequency_response(data: ValidationData) -> Check:
                 continue
             pair = f"{name} to {output}"
             drawn += _drawn(one, linear, pair, name, k, found.sampling_time)
-            off = _off(one)
-            if off is not None and (worst is None or off[0] > worst[0]):
-                worst = (*off, pair)
+            largest = _deviation(one, float(found.deviation[k]))
+            if largest is not None and (worst is None or largest.order > worst[0].order):
+                worst = largest, pair
     if not drawn:
         return Check(title, Verdict.ABSENT, _TOO_SHORT)
     curves = tuple(drawn)
     if worst is None:
         sentence = f"the coherence of every input and output is at most {_COHERENT:g}"
         return Check(title, Verdict.SHOWN, sentence, curves=curves, axes=axes)
-    size, frequency, coherence, pair = worst
-    if size == 0.0:
+    one, pair = worst
+    if one.size == 0.0:
         sentence = (
             "the gain of the simulation agrees with the data within statistical error where the "
             f"coherence is above {_COHERENT:g}"
         )
         return Check(title, Verdict.PASS, sentence, curves=curves, axes=axes)
     words = (
-        f"{pair} at {frequency} Hz deviates by {percent(size)} from the data (coherence "
-        f"{coherence:.2f})"
+        f"{pair} at {one.frequency:.3g} Hz deviates by {percent(one.size)} from the data "
+        f"(coherence {one.coherence:.2f})"
     )
-    if size < _OFF:
-        return Check(title, Verdict.PASS, f"at most, {words}", curves=curves, axes=axes)
-    verdict = Verdict.FAIL if size >= _FAR_OFF else Verdict.DOUBT
-    return Check(title, verdict, words, None, 0.04, curves, axes)
+    if one.verdict is Verdict.PASS:
+        return Check(title, Verdict.PASS, f"where it costs most, {words}", curves=curves, axes=axes)
+    sentence = (
+        f"{words}; such frequencies hold {percent(one.part)} of the output's standard deviation: "
+        "a mode, a delay or a gain that depends on the operating point is missing"
+    )
+    return Check(title, one.verdict, sentence, None, 0.04, curves, axes)
 
 
-def _off(one: Spectra) -> tuple[float, str, float] | None:
-    """The largest relative difference of the two gains beyond chance, the frequency, and the
-    coherence there; None where no line is coherent."""
+@dataclass(frozen=True)
+class _Deviation:
+    """Largest deviation of the gain of a simulation from that of the data, beyond chance."""
+
+    verdict: Verdict
+    size: float
+    """Relative difference of the gains at `frequency`; 0 where all are equal within chance."""
+    part: float
+    """Part of the residual at all frequencies that deviate as much, in standard deviations of the
+    output."""
+    frequency: float
+    """Frequency of the largest part, Hz."""
+    coherence: float
+
+    @property
+    def order(self) -> tuple[int, float]:
+        """The verdict, then the size."""
+        return (Verdict.PASS, Verdict.DOUBT, Verdict.FAIL).index(self.verdict), self.size
+
+
+def _deviation(one: Spectra, deviation: float) -> _Deviation | None:
+    """Compare the two gains of a pair; None where no frequency is coherent.
+
+    Args:
+        deviation: standard deviation of the output
+    """
     coherence = _coherence(one)
     judged = (coherence >= _COHERENT) & (one.input > 1e-6 * one.input.max())
     if not judged.any():
         return None
-    explained = np.abs(one.residual_cross) ** 2 / np.maximum(one.input * one.residual, 1e-300)
+    # What the input explains of the residual, as a part of the variance of the output.
+    power = np.abs(one.residual_cross) ** 2 / np.maximum(one.input, 1e-300)
+    explained = power / np.maximum(one.residual, 1e-300)
+    power = power / max(deviation, 1e-300) ** 2
     least = 1.0 - (_CHANCE / len(judged)) ** (1.0 / (one.segments - 1))
     size = np.abs(one.residual_cross) / np.maximum(np.abs(one.output_cross), 1e-300)
     # Within chance, the two are taken as equal.
     size = np.where(judged & (explained > least), size, 0.0)
-    place = int(np.argmax(np.where(judged, size, -1.0)))
-    return float(size[place]), f"{one.frequency[place]:.3g}", float(coherence[place])
+    limits = ((Verdict.FAIL, *_FAILS), (Verdict.DOUBT, *_DOUBTS), (Verdict.PASS, 1e-300, 0.0))
+    parts = [float(np.sqrt(np.sum(power[size >= far]))) for _, far, _ in limits]
+    verdict, far, part = next(
+        (verdict, far, part)
+        for (verdict, far, large), part in zip(limits, parts, strict=True)
+        if part >= large
+    )
+    place = int(np.argmax(np.where(size >= far, power, -1.0)))
+    return _Deviation(
+        verdict, float(size[place]), part, float(one.frequency[place]), float(coherence[place])
+    )
 
 
 def _coherence(one: Spectra) -> Array:

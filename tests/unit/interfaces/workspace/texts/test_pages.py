@@ -108,6 +108,34 @@ def test_the_equations_of_the_page_are_a_candidate(tmp_path: Path) -> None:
     assert model.parameters().keys() == {"d", "k", "g"}
 
 
+def test_without_equations_greybox_is_first_and_its_integration_is_explained(
+    tmp_path: Path,
+) -> None:
+    problem = load_problem(write_problem(tmp_path / "toy"))
+    page = " ".join(models_page(problem).split())
+    first = page.split("|---|---|---|---|")[1]
+    assert first.startswith(" | `greybox` | equations of your own")
+    for fact in ("Runge-Kutta steps of order 4", "zero-order hold", "`constants={NAME: VALUE}`"):
+        assert fact in page
+    assert "`greybox` | equations of your own" not in models_page(load_problem("two_tanks_sim"))
+
+
+def test_the_program_says_what_a_try_costs_and_how_the_evaluator_ends() -> None:
+    problem = load_problem("two_tanks_sim")
+    page = " ".join(program(problem, 5).split())
+    for fact in (
+        "from up to 2 other seeds",
+        "**keep**: ",
+        "**best**: ",
+        "asia steer --stop",
+        "different minima",
+    ):
+        assert fact in page
+    assert "asia steer" not in program(problem, 5, Confinement.JAIL)
+    once = replace(problem, budget=replace(problem.budget, retests=0))
+    assert "other seeds" not in program(once, 5)
+
+
 def test_where_equations_are_given_the_page_says_how_to_change_them() -> None:
     page = program(load_problem("two_tanks_sim"), 5)
     assert 'dynamics={**context.physics.dynamics, "x1": "..."}' in " ".join(page.split())

@@ -165,6 +165,34 @@ def test_the_same_response_by_python_control() -> None:
     np.testing.assert_allclose(frequency_response_of(impulse, omega)[:, 0], wanted, atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    ("poles", "verdict"), [((0.98, 0.95, 0.95), Verdict.PASS), ((0.3, 0.2), Verdict.FAIL)]
+)
+def test_the_gain_is_judged_where_the_output_has_power(poles, verdict, random) -> None:
+    """A moving average of two samples has no gain at the Nyquist frequency."""
+    u = random.standard_normal(SAMPLES)
+    a = np.poly(poles)
+    y = signal.lfilter([0.0, a.sum()], a, u)
+    found = simulations(signal.lfilter([0.5, 0.5], [1.0], y), y, u)
+    check = check_frequency_response(without_responses(found))
+    assert check.verdict is verdict
+    assert check.sentence.startswith("where it costs most, ") is (verdict is Verdict.PASS)
+    assert ("a mode, a delay or a gain" in check.sentence) is (verdict is Verdict.FAIL)
+
+
+def test_a_smooth_function_of_the_rate_is_not_called_friction(random: np.random.Generator) -> None:
+    u = signal.lfilter([0.1], [1.0, -0.9], random.standard_normal(SAMPLES))
+    y_hat = signal.lfilter(B, A, u)
+    rate = np.gradient(y_hat)
+    rate /= rate.std()
+    for effect, expected in ((rate * np.abs(rate), set()), (np.sign(rate), {Cause.FRICTION})):
+        noise = 0.02 * y_hat.std() * random.standard_normal(SAMPLES)
+        y = y_hat + 0.03 * y_hat.std() * effect + noise
+        motion = [c for c in residual_checks(without_responses(simulations(y_hat, y, u)))
+                  if c.name == "motion"]  # fmt: skip
+        assert flagged(tuple(motion)) == expected
+
+
 def test_a_long_run() -> None:
     t = np.arange(HORIZONS * 100.0)
     wave = np.sin(t)[:, None]
