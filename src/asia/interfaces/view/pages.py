@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -733,13 +733,18 @@ def timeline_part(snapshot: Snapshot) -> Html | None:
         return None
     alt = "Time of the evaluation of each experiment, from its proposal to its result."
     drawings = both_sizes(partial(draw_timeline, spans, alt))
+    start, end = (
+        datetime.fromtimestamp(at, UTC).strftime("%Y-%m-%d %H:%M:%S")
+        for at in (min(one.begin for one in spans), max(one.end for one in spans))
+    )
+    where = tag("p", "From ", fixed(start), " to ", fixed(end), " UTC.")
     text = (
         "Each bar reaches from the proposal of an experiment to its result. Evaluations at the "
         "same time have rows of their own. Gaps are the agent and the decisions of the search. "
         "Longer pauses, such as those before a search was resumed, are cut out."
     )
     keys = [("kept bar", "new best"), ("other bar", "no new best"), ("failed bar", "no score")]
-    return join((tag("p", text), tag("figure", drawings, legend(keys))))
+    return join((tag("p", text), where, tag("figure", drawings, legend(keys))))
 
 
 def _ends(times: Sequence[float], now: float) -> tuple[float, float]:

@@ -336,8 +336,9 @@ def draw_tradeoff(points: Sequence[Traded], axis: str, below: str, alt: str, siz
         text = f"#{point.number:02d} V {error_value(point.value)}, {below} {point.cost:.3g}: "
         mark = _dot(across.at(point.cost), point.value, up, "kept" if point in front else "other")
         drawn.append(tag("g", tag("title", text + one_line(point.title, 80)), mark))
-    shown = [Point(p.number, p.value, "", p.title, best=True) for p in front]
-    drawn.append(_tags(shown, across, up, size, [p.cost for p in front]))
+    every = [*front, *others]
+    shown = [Point(p.number, p.value, "", p.title, best=p in front) for p in every]
+    drawn.append(_tags(shown, across, up, size, [p.cost for p in every]))
     return _progress_svg(drawn, alt, size)
 
 

@@ -299,6 +299,24 @@ def test_pages_fit_the_screen_and_are_accessible(
     assert watched.hosts <= {f"127.0.0.1:{server.port}", ""}
 
 
+def test_the_reason_of_a_row_is_inside_the_row_on_a_phone(
+    server: Server, browser: Browser, problem: Problem
+) -> None:
+    context = browser.new_context(viewport=SIZES["phone"])  # pyright: ignore
+    page = context.new_page()
+    page.goto(server.address)
+    page.goto(server.at("/runs/made"))
+    reason = page.locator("#rows .why").first
+    # Two lines, as the stylesheet allows.
+    reason.evaluate("one => one.textContent = 'V 1.3 % above #27, within the threshold '.repeat(4)")
+    page.locator("#rows").scroll_into_view_if_needed()
+    below, row = reason.evaluate(
+        "one => [one, one.closest('li')].map(e => e.getBoundingClientRect().bottom)"
+    )
+    assert below <= row
+    context.close()
+
+
 def test_an_experiment_is_tagged_with_the_keyboard_alone(server: Server, watched: Watched) -> None:
     page = watched.page
     page.goto(server.at("/runs/made/experiments/2"))

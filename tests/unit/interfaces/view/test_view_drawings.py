@@ -79,6 +79,27 @@ def test_nothing_has_less_of_both_than_a_point_of_the_front() -> None:
     assert "&lt;far&gt;" in few
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_names_of_the_trade_off_picture_lie_over_no_point(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Close above the front, where the names are.
+    costs = rng.uniform(0.1, 1.0, 40)
+    values = 0.1 / costs * rng.choice([1.0, 1.1, 1.3], 40)
+    many = [
+        Traded(n, "a long title of a candidate", float(value), float(cost))
+        for n, (value, cost) in enumerate(zip(values, costs, strict=True))
+    ]
+    drawn = draw_tradeoff(many, "V", "seconds of fit", "alt", WIDE)
+    points = [tuple(map(float, one)) for one in re.findall(r'cx="([\d.]+)" cy="([\d.]+)"', drawn)]
+    names = re.findall(r'<text x="([\d.]+)" y="([\d.]+)"[^>]*class="tag">([^<]*)<', drawn)
+    assert (len(points), len(names) > 1) == (len(many), True)
+    for left, base, name in names:
+        x, y = float(left), float(base)
+        # Characters of this size are at least 5 wide and 9 high.
+        over = [p for p in points if x < p[0] < x + 5 * len(name) and y - 9 < p[1] < y]
+        assert over == [], name
+
+
 def test_pauses_are_cut_and_order_and_lengths_stay() -> None:
     spans = [
         Span(1, "one", "kept", 100.0, 110.0),

@@ -487,6 +487,16 @@ def test_the_timeline_has_a_bar_for_each_experiment(client: TestClient) -> None:
     assert re.findall(r'class="bar (\w+)"', wide) == ["kept", "kept", "failed", "other"]
 
 
+def test_the_timeline_has_the_date_and_time_of_its_begin_and_end(
+    client: TestClient, runs: Path
+) -> None:
+    lines = FollowedRun(runs / "made").snapshot().run.lines
+    times = [one.time for one in lines if isinstance(one.event, Proposed | Evaluated)]
+    part = re.sub(r"<[^>]*>", "", client.get("/runs/made/sections/timeline").text)
+    first, last = (f"{one[:10]} {one[11:19]}" for one in (times[0], times[-1]))
+    assert f"From {first} to {last} UTC." in part
+
+
 def test_costs_of_commands_are_axes_of_the_trade_off_picture(
     client: TestClient, runs: Path
 ) -> None:

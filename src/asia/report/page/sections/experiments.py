@@ -328,6 +328,7 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
         ("kept", "new best"),
         ("other", "no new best"),
         ("failed", "no score"),
+        ("above", "V above the axis"),
         ("best", "best so far"),
     ]
     return tag("figure", drawings, legend(kinds))
@@ -411,7 +412,11 @@ def _write_tradeoff(subject: Subject) -> Html | None:
     known = [k for k in range(len(COSTS)) if any(row[2 + k] for row in rows)]
     rows = [[*row[:2], *(row[2 + k] for k in known)] for row in rows]
     head = ["candidate", subject.view.v_name, *(names[k] for k in known)]
-    keys = [("kept best", "no other candidate has less of both"), ("other", "others")]
+    keys = [
+        ("kept best", "no other candidate has less of both"),
+        ("other", "others"),
+        ("above", "V above the axis"),
+    ]
     return join((
         tag("fieldset", tag("legend", "V against"), *choices, class_="axes"),
         *figures,

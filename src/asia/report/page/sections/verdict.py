@@ -391,7 +391,7 @@ def _board(board: Board, index: int) -> Html:
         bar = tag("span", class_="bar own" if own else "bar", style=share)
         bars.append([tag("b", text) if own else said(text), said(f"{value:.4g}"), bar])
     caption = f"Test error of {ours.figure.name} [{board.unit}]"
-    return table(["result", "error", "size"], bars, caption)
+    return table(["result", "error", "error as a bar"], bars, caption)
 
 
 def _test_overlays(
