@@ -106,7 +106,7 @@ def test_two_interrupts_leave_nothing_behind(tmp_path):
     command += ["--level", str(ONE_LEVEL), "--only", "13", "18", "19", "22"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, stderr=subprocess.PIPE, env=environment, text=True) as process:
-        while not any(tmp_path.glob("asia-redteam-*")):
+        while not any(tmp_path.glob("asia-redteam-*/*")):
             assert process.poll() is None
             time.sleep(0.01)
         assert process.stderr is not None

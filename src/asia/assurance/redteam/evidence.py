@@ -315,11 +315,11 @@ def targets(memory_mb: int) -> Generator[Targets]:
     vault, ledger, evaluator, daemon = (
         os.path.join(playground, name) for name in ("test.csv", "ledger", "judge.py", "socket")
     )
-    Path(vault).write_text(f"u,y\n{secret}\n")
-    Path(ledger).write_text(f"{secret}\n")
-    os.utime(ledger, (1e9, 1e9))
-    Path(evaluator).write_text("")
     try:
+        Path(vault).write_text(f"u,y\n{secret}\n")
+        Path(ledger).write_text(f"{secret}\n")
+        os.utime(ledger, (1e9, 1e9))
+        Path(evaluator).write_text("")
         with (
             ExitStack() as services,
             socket.socket(socket.AF_UNIX) as local,
