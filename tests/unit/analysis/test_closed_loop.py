@@ -114,7 +114,7 @@ def test_a_loop_that_is_unstable_gets_nothing_for_all_times() -> None:
     assert {"stability", "limits", "peak gain"} <= kinds(stable, "loop")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_set_of_models_is_checked_one_by_one(tmp_path: Path) -> None:
     plants = simulated("loop", PLANT), simulated("fold 1", linear(A, 1.1 * B, C, 0.0))
     y = np.array([[-2.0, 3.0], [-np.inf, np.inf]])

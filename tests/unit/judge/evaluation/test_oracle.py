@@ -249,7 +249,7 @@ def test_a_reloaded_model_is_not_compiled_again() -> None:
     assert found.validation_scores == 8
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_calls_are_capped(sent: dict[Channel, list[tuple[str, Any, bytes]]]) -> None:
     found = evaluator(fit_seconds=120.0).evaluate(descent(steps=5 * VALIDATION_SCORES + 1))
     problem = failure(found)

@@ -117,7 +117,7 @@ def test_a_candidate_is_judged_on_windows() -> None:
     assert found.objection(HOLD, evaluation.folds) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("real_linear_reference")
 def test_the_linear_reference_names_settings_that_are_better_than_the_baseline() -> None:
     # Two modes, and a second half that is slow and so noisy that it hides one mode.
@@ -155,7 +155,7 @@ def test_the_linear_reference_names_settings_that_are_better_than_the_baseline()
     assert found.outcome.value < own.outcome.value
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("real_linear_reference")
 def test_the_linear_reference_is_a_prediction_error_model_where_the_noise_is_slow() -> None:
     rng = np.random.default_rng(2)

@@ -46,6 +46,7 @@ def fit(trajectories, context):
 """
 
 
+@pytest.mark.slow
 def test_a_program_is_compiled_once_and_gives_the_same_model(
     worker: Callable[..., Worker], case: Case
 ) -> None:

@@ -234,6 +234,7 @@ def library_fit(worker: Worker, case: Case) -> tuple[bytes, bytes]:
     return worker.dump(), worker.simulate(case.past_u, case.past_y, case.u).tobytes()
 
 
+@pytest.mark.slow
 def test_a_worker_that_ran_the_library_alone_serves_only_the_library(
     ahead: StandbyWorkers, case: Case
 ) -> None:
@@ -264,6 +265,7 @@ def test_a_worker_that_ran_the_library_alone_serves_only_the_library(
         assert ahead.take(JAX, library_only=True) is None
 
 
+@pytest.mark.slow
 def test_a_worker_near_its_memory_limit_or_ended_is_not_used_again(
     level: Isolation, case: Case
 ) -> None:

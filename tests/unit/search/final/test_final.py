@@ -130,7 +130,7 @@ def test_a_sound_refit_is_kept_with_its_evidence(tmp_path: Path) -> None:
     assert refitted.reason
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     tmp_path: Path,
 ) -> None:
@@ -268,7 +268,7 @@ def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
     verify(directory)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_member_that_does_not_answer_like_a_model_is_left_out(tmp_path: Path) -> None:
     # It was no new best, so that nobody had asked it before.
     restless = RESTLESS.replace("fit_well", "fit_biased").replace("== 240", "> 0")

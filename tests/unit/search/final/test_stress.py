@@ -107,7 +107,7 @@ def test_cases_stay_inside_the_training_ranges(seed: int, inputs: int, horizon: 
         assert (case.u <= every.max(axis=0)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bounded_candidate_is_named_where_the_winner_diverges(tmp_path: Path) -> None:
     _, view = ended(write_twins(tmp_path / "twins"), arx(2) + HIDDEN, arx(2) + WORSE)
     refitted = view.refitted
@@ -134,7 +134,7 @@ class StackDrifts:
         return StressTest(use, best.number, 9.0, "y", None, outcome)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_the_stack_drifts_the_evidence_chooses_between_the_models_of_the_winner(
     tmp_path: Path,
 ) -> None:
@@ -167,7 +167,7 @@ def test_the_largest_change_of_speed_hardly_counts_noise() -> None:
     assert np.abs(np.diff(y, 2)).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_integrator_drifts_and_is_doubtful(tmp_path: Path) -> None:
     _, view = ended(write_twins(tmp_path / "twins", integrator=True), arx(2))
     assert view.refitted is not None
