@@ -207,8 +207,6 @@ def describe_result(e: Experiment, view: SearchView) -> str:
         if result.threshold:
             least = f"{result.threshold:.2g}"
             text += f"; threshold: a mean {least} below that of the candidate kept before"
-            if len(result.retests) + 1 >= RANKED and not any(r.same for r in result.retests):
-                text += ", or all seeds below its own"
     elif e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         message = error_line(e.failure.detail)
@@ -237,8 +235,12 @@ def decision_text(e: Experiment, view: SearchView) -> str:
     percent = f"{100 * abs(change):.{'1f' if abs(change) >= 1e-3 else '2g'}}"
     text = f"V {percent} % {'below' if change < 0 else 'above'} #{best.number:02d}"
     if e.result.threshold and e.kept:
-        means = " over seeds" if len(e.seed_values) > 1 else ""
-        text += f",{means} by more than the threshold {e.result.threshold:.2g}"
+        held = next((o for o in reversed(view.experiments[: e.number - 1]) if o.kept), best)
+        if fmean(held.seed_values) - fmean(e.seed_values) > e.result.threshold:
+            means = " over seeds" if len(e.seed_values) > 1 else ""
+            text += f",{means} by more than the threshold {e.result.threshold:.2g}"
+        else:
+            text += f", each seed below every one of #{held.number:02d}"
     elif e.result.threshold and e.result.status == "inconclusive":
         text += f", within the threshold {e.result.threshold:.2g}"
     return text

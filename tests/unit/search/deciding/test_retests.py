@@ -19,7 +19,7 @@ from asia.judge.scoring.outcome import Failure, Score
 from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.ledger.events import Evaluated, Event, Proposed, Retest, Started
 from asia.ledger.evidence import incumbent_threshold
-from asia.ledger.text import method_note, threshold_text
+from asia.ledger.text import decision_text, method_note, threshold_text
 from asia.ledger.view import Experiment, SearchView, replay
 from asia.search.decision import Decision, decide
 from asia.search.replay import replay_run
@@ -122,6 +122,10 @@ def test_lost_fits_of_the_incumbent_do_not_keep_a_better_candidate_out() -> None
         found.threshold > np.mean([0.036, 0.016, 0.075]) - 0.0145
     )  # By the means it is not lower.
     assert (found.status, fits) == ("keep", 3)
+    after = with_another(view, 2, found)
+    assert decision_text(after.experiments[1], after) == (
+        "V 59.7 % below #01, each seed below every one of #01"
+    )
     assert judged(view, 0.0145, 0.0146, 0.017)[0].status == "inconclusive"
     assert "or V of 3 seeds is below 0.0160, the lowest of #01" in threshold_text(view)
 
