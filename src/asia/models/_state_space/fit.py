@@ -86,12 +86,12 @@ def fit_states(
         stability: cost with which a fit is repeated whose linear part became unstable; None: none.
     """
     trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
-    choice, noise = NoiseChoice.of(method), None
     runs = _Runs(structure, trees, samples, ridge, method, log, stability)
     first = [{**tree, **params} for tree, params in zip(trees, begin or trees, strict=True)]
     if x0 is not None:
         first = [{**tree, "x0": states} for tree, states in zip(first, x0, strict=True)]
     results = runs.fitted(first, None)
+    choice, noise = NoiseChoice.of(method), None
     runs = runs._replace(method=replace(method, iterations=-(-method.iterations // 3)))
     for _ in range(0 if choice is None else NOISE_ROUNDS):
         assert choice is not None
