@@ -92,7 +92,7 @@ def test_folds_that_tell_each_other_their_records_are_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A fold with a large training error is fitted again, alone, which ends the exchange already.
-    monkeypatch.setattr("asia.judge.evaluation.results._POOR", np.inf)
+    monkeypatch.setattr("asia.judge.evaluation.results.POOR", np.inf)
     judge, cheat = evaluator(), source(tmp_path)
     found = judge.evaluate(cheat)
     honest = judge.evaluate(source(None))
