@@ -351,7 +351,7 @@ class Chosen:
 
     Attributes:
         kind, order: keys of `KINDS` and `ORDERS`; others count as ""
-        words: each is in the title, rationale, family, source or printed output
+        words: each is in the title, rationale, family, result, notes, source or printed output
     """
 
     kind: str = ""
@@ -361,11 +361,15 @@ class Chosen:
     def of(self, subject: Subject) -> list[Experiment]:
         """Return these experiments in their order."""
         words = self.words.lower().split()
+
+        def holds(e: Experiment) -> bool:
+            text = "\n".join(text for _, text in _texts(e, subject)).lower()
+            return all(word in text for word in words)
+
         found = [
             e
             for e in reversed(subject.view.experiments)
-            if (self.kind not in KINDS or self.kind in ("", _kind(e)))
-            and (not words or self._holds(words, e, subject))
+            if (self.kind not in KINDS or self.kind in ("", _kind(e))) and (not words or holds(e))
         ]
         if self.order == "oldest":
             found.reverse()
@@ -377,28 +381,48 @@ class Chosen:
             found.sort(key=lambda e: e.proposed.family)
         return found
 
-    def _holds(self, words: list[str], e: Experiment, subject: Subject) -> bool:
-        p, store = e.proposed, subject.run.store
-        parts = [f"#{e.number:02d}", p.title, p.family, p.hypothesis, p.expected]
-        parts.append(describe_result(e, subject.view))
-        parts += subject.view.tags(e.number)
-        parts += [one.text for one in subject.view.noted if one.experiment == e.number]
-        if store.kept:
-            parts.append(store.text(p.source))
-            if e.result is not None and e.result.output:
-                parts.append(store.text(e.result.output))
-        text = "\n".join(parts).lower()
-        return all(word in text for word in words)
+    def place(self, e: Experiment, subject: Subject) -> Html | None:
+        """Show where the first of the words stands, marked, with the text around it."""
+        word = next(iter(self.words.lower().split()), "")
+        for name, text in _texts(e, subject) if word else ():
+            at = text.lower().find(word)
+            if at >= 0:
+                begin, end = max(0, at - 40), at + len(word)
+                parts = text[begin:at], tag("mark", text[at:end]), text[end : end + 200]
+                return tag("span", f"{name}: ", tag("span", *parts, class_="said"))
+        return None
+
+
+def _texts(e: Experiment, subject: Subject) -> list[tuple[str, str]]:
+    """Texts of an experiment that are searched, each in one line, with their names."""
+    p, view, store = e.proposed, subject.view, subject.run.store
+    found = [
+        ("experiment", f"#{e.number:02d}"),
+        ("title", p.title),
+        ("family", p.family),
+        ("hypothesis", p.hypothesis),
+        ("expected", p.expected),
+        ("result", describe_result(e, view)),
+    ]
+    found += [("tag", tag) for tag in view.tags(e.number)]
+    found += [("note", one.text) for one in view.noted if one.experiment == e.number]
+    if store.kept:
+        found.append(("source", store.text(p.source)))
+        if e.result is not None and e.result.output:
+            found.append(("printed", store.text(e.result.output)))
+    return [(name, " ".join(text.split())) for name, text in found]
 
 
 def _kind(e: Experiment) -> str:
     return "kept" if e.kept else "failed" if e.failure is not None else "other"
 
 
-def experiment_row(subject: Subject, e: Experiment) -> Html:
-    """Write one experiment on one line."""
+def experiment_row(subject: Subject, e: Experiment, chosen: Chosen = Chosen()) -> Html:
+    """Write one experiment, its title and below it the reason of its status, or where the words
+    stand that were searched."""
     status, labels = status_of(subject, e), tag_labels(subject.view.tags(e.number))
-    reason = tag("span", said(decision_text(e, subject.view), 300), class_="why")
+    reason = chosen.place(e, subject) or said(decision_text(e, subject.view), 300)
+    reason = tag("span", reason, class_="why")
     link = tag(
         "a",
         tag("span", subject.name(e), class_="id"),
@@ -423,7 +447,7 @@ def experiment_rows(
     lists = [
         tag(
             "ol",
-            *(experiment_row(subject, e) for e in part),
+            *(experiment_row(subject, e, chosen) for e in part),
             class_="part",
             style=f"--rows:{len(part)}",
         )

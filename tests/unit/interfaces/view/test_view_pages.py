@@ -294,10 +294,17 @@ def test_the_text_search_reads_sources_and_output(client: TestClient, runs: Path
     with Chain(runs / "made" / "ledger.jsonl") as chain:
         chain.append(Proposed(5, None, "refine", "arx", "plain", "why", "lower", source, "5"))
         chain.append(Evaluated(5, "crash", failure, (), output, 1.0))
-    for words in ("ORDER 47", "saturates", "arx why", Reason.CRASH.advice):
+    advice = Reason.CRASH.advice
+    for words, place in (
+        ("ORDER 47", 'source: <span class="said"><mark>order</mark> = 47'),
+        ("saturates", 'printed: <span class="said">the pump <mark>saturates</mark>'),
+        ("arx why", 'family: <span class="said"><mark>arx</mark>'),
+        (advice, f"<mark>{advice.split()[0]}</mark>"),
+    ):
         row = client.get("/runs/made/rows", params={"words": words}).text
         assert re.findall(r'<li id="e(\d)"', row) == ["5"], words
-    assert Reason.CRASH.advice[:20] in row
+        assert place in row
+    assert advice[:20] in client.get("/runs/made/rows").text
 
 
 def test_a_long_list_comes_in_pieces(client: TestClient) -> None:
