@@ -387,8 +387,9 @@ class Chosen:
         for name, text in _texts(e, subject) if word else ():
             at = text.lower().find(word)
             if at >= 0:
-                begin, end = max(0, at - 40), at + len(word)
-                parts = text[begin:at], tag("mark", text[at:end]), text[end : end + 200]
+                end = at + len(word)
+                before = text[:at] if at < 40 else f"… {text[at - 40 : at].partition(' ')[2]}"
+                parts = before, tag("mark", text[at:end]), text[end : end + 200]
                 return tag("span", f"{name}: ", tag("span", *parts, class_="said"))
         return None
 
