@@ -246,8 +246,8 @@ class _Comparison:
 # worth, up to the second where one model of all data is no better than a mean of models.
 STACK_GAIN, STACK_WORTH = 0.8, 1.2
 # Error of a refit on the training records, relative to the ensemble's, up to which the other third
-# of the data made it better. Above, the error is that of the structure or of the noise.
-BETTER = 0.95
+# of the data made it better. A little less is due to these records having been fitted.
+BETTER = 0.8
 # Disagreement of fold models, relative to the ensemble's error, up to which a mean gains nothing.
 AGREE = 0.2
 
@@ -304,14 +304,16 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
                 text = f"It fits the training records {close} as well as the ensemble"
                 return ModelToUse("refit", f"{text} (error {errors}).")
             if (kept.error or 0.0) <= BETTER * ensemble + NEGLIGIBLE:
-                text = "It fits the training records better than the ensemble"
+                text = "It fits the training records clearly better than the ensemble"
                 return ModelToUse("refit", f"{text} (error {errors}).")
             if (usual or 0.0) <= AGREE * ensemble + NEGLIGIBLE:
                 text = (
                     "The fold models agree, so a mean of models gains nothing, and one is simpler"
                 )
                 return ModelToUse("refit", f"{text} (training error {errors}).")
-            why = f"The refit fits the training records no better than the ensemble ({errors})."
+            little = "little" if (kept.error or 0.0) < ensemble else "no"
+            fits = f"fits the training records {little} better than the ensemble ({errors})."
+            why = f"The refit {fits}"
         elif is_as_good(check):
             why = (
                 "The refit differs from the fold models by more than they differ from each other: "

@@ -53,6 +53,8 @@ def evidence(
     [
         # The last third of the data made the refit better.
         (evidence(refit=0.6, ensemble=1.0, disagreement=0.5, stack=1.1), "refit"),
+        # Its records were fitted, so a little less says nothing.
+        (evidence(refit=0.9, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
         # It did not: the error is that of the structure, which means reduce.
         (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
         (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.3), "ensemble"),
