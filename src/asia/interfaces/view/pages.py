@@ -16,7 +16,7 @@ from urllib.parse import quote, urlencode
 
 import numpy as np
 
-from asia._text import one_line
+from asia._text import one_line, printable_line
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.registry import reads_notes
 from asia.analysis.importance import LEAST_EXPERIMENTS, settings_importance
@@ -383,19 +383,21 @@ class Chosen:
 
     def place(self, e: Experiment, subject: Subject) -> Html | None:
         """Show where the first of the words stands, marked, with the text around it."""
-        word = next(iter(self.words.lower().split()), "")
+        word = next(iter(self.words.split()), "")
         for name, text in _texts(e, subject) if word else ():
-            at = text.lower().find(word)
-            if at >= 0:
-                end = at + len(word)
-                before = text[:at] if at < 40 else f"… {text[at - 40 : at].partition(' ')[2]}"
-                parts = before, tag("mark", text[at:end]), text[end : end + 200]
+            line = printable_line(" ".join(text.split()))
+            found = re.search(re.escape(word), line, re.IGNORECASE)
+            if found:
+                before, after = line[: found.start()], line[found.end() :][:200]
+                if len(before) > 40:
+                    before = f"… {before[-40:].partition(' ')[2]}"
+                parts = before, tag("mark", found[0]), after
                 return tag("span", f"{name}: ", tag("span", *parts, class_="said"))
         return None
 
 
 def _texts(e: Experiment, subject: Subject) -> list[tuple[str, str]]:
-    """Texts of an experiment that are searched, each in one line, with their names."""
+    """Texts of an experiment that are searched, with their names."""
     p, view, store = e.proposed, subject.view, subject.run.store
     found = [
         ("experiment", f"#{e.number:02d}"),
@@ -405,13 +407,13 @@ def _texts(e: Experiment, subject: Subject) -> list[tuple[str, str]]:
         ("expected", p.expected),
         ("result", describe_result(e, view)),
     ]
-    found += [("tag", tag) for tag in view.tags(e.number)]
+    found += [("tag", one) for one in view.tags(e.number)]
     found += [("note", one.text) for one in view.noted if one.experiment == e.number]
     if store.kept:
         found.append(("source", store.text(p.source)))
         if e.result is not None and e.result.output:
             found.append(("printed", store.text(e.result.output)))
-    return [(name, " ".join(text.split())) for name, text in found]
+    return found
 
 
 def _kind(e: Experiment) -> str:
