@@ -246,7 +246,7 @@ class _Comparison:
 # worth, up to the second where one model of all data is no better than a mean of models.
 STACK_GAIN, STACK_WORTH = 0.8, 1.2
 # Error of a refit on the training records, relative to the ensemble's, up to which the other third
-# of the data made it better. A little less is due to these records having been fitted.
+# of the data made it better. The fold models of the winner were chosen by V, the refit was not.
 BETTER = 0.8
 # Disagreement of fold models, relative to the ensemble's error, up to which a mean gains nothing.
 AGREE = 0.2
@@ -297,13 +297,14 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         kept = check.starts[(check.kept or 0) - 1]
         errors = f"{number(kept.error)}, the ensemble's {number(check.ensemble_error)}"
         apart, usual, ensemble = kept.disagreement, check.fold_disagreement, check.ensemble_error
+        error = kept.error or 0.0
         if is_worthy(check):
             if ensemble is None or len(check.fold_errors) < 3:
                 # With two folds a fold model has seen half of the data only.
-                close = "nearly" if (kept.error or 0.0) > (ensemble or np.inf) else "at least"
+                close = "nearly" if error > (ensemble or np.inf) else "at least"
                 text = f"It fits the training records {close} as well as the ensemble"
                 return ModelToUse("refit", f"{text} (error {errors}).")
-            if (kept.error or 0.0) <= BETTER * ensemble + NEGLIGIBLE:
+            if error <= BETTER * ensemble + NEGLIGIBLE:
                 text = "It fits the training records clearly better than the ensemble"
                 return ModelToUse("refit", f"{text} (error {errors}).")
             if (usual or 0.0) <= AGREE * ensemble + NEGLIGIBLE:
@@ -311,9 +312,8 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
                     "The fold models agree, so a mean of models gains nothing, and one is simpler"
                 )
                 return ModelToUse("refit", f"{text} (training error {errors}).")
-            little = "little" if (kept.error or 0.0) < ensemble else "no"
-            fits = f"fits the training records {little} better than the ensemble ({errors})."
-            why = f"The refit {fits}"
+            how = "little" if error < ensemble else "no"
+            why = f"The refit fits the training records {how} better than the ensemble ({errors})."
         elif is_as_good(check):
             why = (
                 "The refit differs from the fold models by more than they differ from each other: "

@@ -53,7 +53,7 @@ def evidence(
     [
         # The last third of the data made the refit better.
         (evidence(refit=0.6, ensemble=1.0, disagreement=0.5, stack=1.1), "refit"),
-        # Its records were fitted, so a little less says nothing.
+        # A little better is not enough: the fold models were chosen by V, the refit was not.
         (evidence(refit=0.9, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
         # It did not: the error is that of the structure, which means reduce.
         (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
