@@ -404,6 +404,9 @@ class Started:
     """`gpu` in older ledgers only, where candidates trained networks on one."""
     literal_check: Annotated[bool, _omitted(False)] = False
     """True if the literals of new bests are compared with their gain; False in older ledgers."""
+    retests_below_linear: Annotated[bool, _omitted(False)] = False
+    """True if only candidates with a V below that of the linear reference are fitted from other
+    seeds; False in older ledgers."""
     event: Literal["started"] = "started"
 
     @property

@@ -292,11 +292,15 @@ class SearchView:
             marks.append("held-out residuals shown")
         return f"V ({', '.join(marks)})" if marks else "V"
 
+    def reference_value(self, name: str) -> float | None:
+        """V of a reference model; None where it has none."""
+        known = (r.outcome for r in self.references if r.name == name)
+        return next((o.value for o in known if isinstance(o, Score)), None)
+
     @property
     def truth(self) -> float | None:
         """V of the noise-free outputs; None where the problem is not simulated."""
-        known = (r.outcome for r in self.references if r.name == "simulated truth")
-        return next((o.value for o in known if isinstance(o, Score)), None)
+        return self.reference_value("simulated truth")
 
     def below_truth(self, value: float) -> bool:
         """Return whether a V is below that of the simulated truth by more than chance explains."""

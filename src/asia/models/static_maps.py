@@ -30,6 +30,7 @@ from asia.models._linear.fit import LinearFit, Refinement, fit, solve_linear_par
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import window_segments
 from asia.models._numerics.training_records import ScaledTrajectory, check, scaled, shortened
+from asia.models._reuse import reused
 from asia.models._steps import FittedModel
 
 M = TypeVar("M")
@@ -238,7 +239,15 @@ def train(
     """
     check(trajectories, context)
     maps, z = _signed(model.config, trajectories, context)
-    maps = _fitted(maps, z, context)
+    config = maps.config
+    if config.input_map is not None or config.output_map == "monotone":
+        part = window_segments(z, context, _WINDOWS)
+        time = context.sampling_time, context.n_past_u, context.n_past_y, context.horizon
+        inputs, outputs = reused(
+            "static maps", (config, part, time),
+            lambda log: _fitted(config, part, replace(context, log=log)), context.log,
+        )  # fmt: skip
+        maps = replace(maps, inputs=inputs, outputs=outputs)
     mapped = [
         Trajectory(
             maps.driven(r.u),
@@ -282,15 +291,13 @@ def _functions(kind: str, x: Array, theta: Array) -> PiecewiseLinear:
     return PiecewiseLinear(knots, gain * slopes, gain * knots[0] + offset)
 
 
-def _fitted(maps: FittedMaps, records: Sequence[Trajectory], context: Context) -> FittedMaps:
+def _fitted(
+    config: Config, segments: Sequence[Trajectory], context: Context
+) -> tuple[PiecewiseLinear | None, PiecewiseLinear | None]:
     """Fit the functions of the inputs, and the monotone ones of the outputs."""
-    config = maps.config
-    bent = config.output_map == "monotone"
-    if config.input_map is None and not bent:
-        return maps
     from scipy.optimize import least_squares
 
-    segments = window_segments(records, context, _WINDOWS)
+    bent = config.output_map == "monotone"
     scaling = Scaling.of(segments)
     u_all = np.concatenate([r.u for r in segments])
     y_all = np.concatenate([r.y for r in segments])
@@ -361,8 +368,7 @@ def _fitted(maps: FittedMaps, records: Sequence[Trajectory], context: Context) -
             diff_step=np.clip(step, 1e-6, 1.0), max_nfev=8, args=(start,),
         ).x  # fmt: skip
         start = fit(mapped(theta), order, Refinement(iterations=5))
-    f, h = functions(theta)
-    return replace(maps, inputs=f, outputs=h)
+    return functions(theta)
 
 
 # Signs of outputs that a sensor without sign lost.

@@ -19,7 +19,6 @@ from asia.errors import CandidateError
 from asia.judge.evaluation.error_analysis import MissingTerm, terms_beyond_linear
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
-from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.evidence import RunSettings, evidence_of, findings_of
 from asia.ledger.text import evidence_lines
@@ -158,8 +157,7 @@ def _reference(view: SearchView, name: str) -> float | None:
     """V of a reference model; None with the Ladder, which reports some V only."""
     if view.started.ladder is not None:
         return None
-    outcomes = (reference.outcome for reference in view.references if reference.name == name)
-    return next((found.value for found in outcomes if isinstance(found, Score)), None)
+    return view.reference_value(name)
 
 
 def digest(source: str) -> str:

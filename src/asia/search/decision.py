@@ -17,6 +17,7 @@ from statistics import fmean, stdev
 
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.evaluation.results import Evaluation, same_simulations
 from asia.judge.scoring.description import LiteralCheck
 from asia.judge.scoring.outcome import Failure, Outcome, Score
@@ -136,6 +137,11 @@ def _decide_by_retests(
     retests: list[Retest] = []
     values, failure = [score.value], None
     most = view.started.retests
+    if view.started.retests_below_linear:
+        linear = view.reference_value(LINEAR_REFERENCE)
+        if linear is not None and score.value >= linear:
+            # Its scatter would be the threshold for nothing that anybody would use.
+            most = 0
 
     def fit(number: int) -> Evaluation:
         return evaluator.evaluate(source, _FIRST_SEED + number)

@@ -266,6 +266,7 @@ def prepare(
         parallel=parallel,
         stop_folds=stop_folds,
         literal_check=True,
+        retests_below_linear=True,
     )
     return Prepared(problem, directory, lock, started, resumes)
 

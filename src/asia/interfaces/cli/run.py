@@ -584,8 +584,8 @@ class TextDisplay:
         self._print(experiment_line(experiment, view), style=style)
         if experiment.failure is not None:
             self._print(f"    {_last_line(experiment.failure)}", style="dim")
-        mean = next((r.outcome for r in view.references if r.name == "training mean"), None)
-        worse = isinstance(mean, Score) and experiment.score and experiment.score.value > mean.value
+        mean = view.reference_value("training mean")
+        worse = mean is not None and experiment.score and experiment.score.value > mean
         if worse and experiment.kept:
             text = "    kept as the first with a score, although the training mean has a lower V"
             self._print(text, style="yellow")

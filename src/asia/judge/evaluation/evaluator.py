@@ -62,6 +62,8 @@ M models, not finite where one diverges."""
 _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]
 
 _STRANGERS_ASKED = 4
+# Relations that code of the library alone is not asked for: see `StoredModels.left_out`.
+_OF_OTHER_CODE = SuspicionKind.BLOCK_END, SuspicionKind.STRANGERS, SuspicionKind.REPLAY
 # Training samples of a fold.
 _LONG = 100_000
 
@@ -195,7 +197,7 @@ class StoredModels:
             )  # fmt: skip
             try:
                 y_hat = self._simulate_sessions(source, model, blocks, sessions(blocks))
-                if SuspicionKind.STRANGERS in self._options.without:
+                if SuspicionKind.STRANGERS in self.left_out(source):
                     return y_hat
                 failure = objection_to(self.ask(source, model, blocks, y_hat, ask), None)
             except CandidateError as error:
@@ -220,6 +222,13 @@ class StoredModels:
                 return worker.lowered(self._data.context, parameters)
 
         return self._workers.run([partial(lowered, model) for model in models])
+
+    def left_out(self, source: str) -> Collection[SuspicionKind]:
+        """Relations that are not checked for a source. Code of the library keeps nothing between
+        cases, which its tests check, and its cases are simulated side by side, which changes their
+        last digits. It draws no simulation to the data after a block, and the past window shows so
+        little of two slow states that BLOCK_END would object to an honest model of them."""
+        return {*self._options.without, *(_OF_OTHER_CODE if library_only(source) else ())}
 
     def check_seed(self, source: str, *parts: object) -> int:
         """Seed of the requests of a check, another one for each source: the result of a check tells
@@ -284,7 +293,9 @@ class StoredModels:
         found: dict[int, Array] = {}
         for part in parts:
             with self._loaded(source, model) as worker:
-                found |= simulate_each(worker, blocks, part, self.secret_of(blocks))
+                found |= simulate_each(
+                    worker, blocks, part, self.secret_of(blocks), together=library_only(source)
+                )
         return tuple(found[i] for i in range(len(blocks)))
 
     def secret_of(self, blocks: Sequence[Block]) -> bytes | None:
@@ -409,12 +420,8 @@ class Evaluator:
 
     def objection_to_answers(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """The part of `objection` for which nothing is fitted. RESTART depends on held-out outputs:
-        it is the reason only if no other relation fails in any fold. Code of the library draws no
-        simulation to the data after a block, and the past window shows so little of two slow states
-        that BLOCK_END would object to an honest model of them."""
-        without = {*self._options.without}
-        if library_only(source):
-            without.add(SuspicionKind.BLOCK_END)
+        it is the reason only if no other relation fails in any fold."""
+        without = self.models.left_out(source)
 
         def objection(fold: Fold, result: FoldResult) -> Failure | None:
             place = fold.index + 1
@@ -458,7 +465,9 @@ class Evaluator:
     def refit_objection(self, source: str, model: bytes, y_hat: Sequence[Array]) -> Failure | None:
         """As `objection`, for a model fitted on all records and its answers to the training blocks:
         without what asks how it does outside the records that it was fitted on."""
-        without = {*self._options.without, SuspicionKind.RESTART, SuspicionKind.BLOCK_END}
+        without = {
+            *self.models.left_out(source), SuspicionKind.RESTART, SuspicionKind.BLOCK_END,
+        }  # fmt: skip
         ask = partial(
             suspicions, scale=self.data.scale, horizon=self.data.horizon, rounding=0.0,
             seed=self.models.check_seed(source, "refit"), without=without,
@@ -543,7 +552,7 @@ class Evaluator:
         """Repeat a few cases in a fresh worker where several share one. Raises CandidateError where
         its answers differ."""
         horizon = self.data.horizon
-        if horizon is None or SuspicionKind.STRANGERS in self._options.without:
+        if horizon is None or SuspicionKind.STRANGERS in self.models.left_out(source):
             return
         ask = partial(
             strangers, secret=self.models.secret_of(fold.held_out), scale=fold.scale,

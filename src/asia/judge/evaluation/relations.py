@@ -328,7 +328,8 @@ def suspicions(
     if secret is not None and not simulator.has_steps:
         found.append(look_ahead(checks, blocks, y_hat, secret))
     other_seed = int(random.integers(2**31))
-    found += strangers(simulator, blocks, y_hat, secret, scale, other_seed, rounding)
+    if SuspicionKind.STRANGERS not in without:
+        found += strangers(simulator, blocks, y_hat, secret, scale, other_seed, rounding)
     for check in checks:
         found += check.perturbation(), check.table()
     found += [check.replay() for check in reversed(checks)]

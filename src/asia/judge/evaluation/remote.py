@@ -13,7 +13,7 @@ from itertools import chain
 from typing import Protocol
 
 from asia._timer import Activity
-from asia.candidate import Context, imported_libraries
+from asia.candidate import Context, imported_libraries, library_only
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
 from asia.judge.evaluation.machines import check_installation, installation
@@ -102,11 +102,12 @@ def fit_fold(
                 simulate_training(worker.simulate_known, inside, data.rule.horizon)
                 simulating = worker.spent[Activity.SIMULATE][1] - first
             blocks, (first, *others) = data.blocks, data.sessions
-            found = simulate_each(worker, blocks, first, data.secret)
+            together = library_only(work.source)
+            found = simulate_each(worker, blocks, first, data.secret, together=together)
         for session in others:
             with open_worker(work.source, fitting=False) as fresh:
                 fresh.load(work.source, model, context)
-                found |= simulate_each(fresh, blocks, session, data.secret)
+                found |= simulate_each(fresh, blocks, session, data.secret, together=together)
     except CandidateError as error:
         return FoldAnswer(error, printed)
     y_hat = tuple(found[i] for i in range(len(data.cases)))

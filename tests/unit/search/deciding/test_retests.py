@@ -13,11 +13,12 @@ import pytest
 import asia
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import Failure, Score
 from asia.judge.scoring.repeated_fits import significance_threshold
-from asia.ledger.events import Evaluated, Event, Proposed, Retest, Started
+from asia.ledger.events import Evaluated, Event, Proposed, ReferenceScored, Retest, Started
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.text import decision_text, method_note, threshold_text
 from asia.ledger.view import Experiment, SearchView, replay
@@ -146,6 +147,26 @@ def test_the_first_candidate_with_a_score_is_kept_and_measures_the_threshold() -
     found, fits = judged(view, 1.0, 1.1, 0.9)
     assert (found.status, found.threshold, fits) == ("keep", None, 3)
     assert judged(view, 1.0, Failure(Reason.CRASH))[0].status == "keep"
+
+
+def test_only_what_beats_the_linear_reference_is_fitted_from_other_seeds() -> None:
+    known = a_search(2, 1.0)
+    view = replace(
+        known,
+        started=replace(known.started, retests_below_linear=True),
+        references=(ReferenceScored(LINEAR_REFERENCE, Score(0.5, ())),),
+    )
+    first = replace(view, experiments=())
+    assert judged(first, 0.7)[1] == 1
+    assert judged(first, 0.4, 0.41, 0.42)[1] == 3
+    found, fits = judged(view, 0.7)
+    assert (found.status, found.retests, found.lowest, fits) == ("keep", (), True, 1)
+    assert decision_text(with_another(view, 2, found).experiments[1], view) == (
+        "V 30.0 % below #01"
+    )
+    assert judged(view, 0.4, 0.41, 0.42)[1] == 2
+    assert judged(replace(view, references=()), 0.7, 0.71, 0.72)[1] == 2
+    assert judged(replace(view, started=known.started), 0.7, 0.71, 0.72)[1] == 2
 
 
 def test_the_seeds_are_not_those_of_a_confirmation() -> None:
