@@ -41,7 +41,7 @@ UNTRIED = 0.3
 # The same while nothing beats the mean.
 UNTRIED_LOST = 0.6
 # Families of what the user gave, equations and a simulator; above the weight of any move.
-GIVEN, GIVEN_WEIGHT = frozenset({"greybox", "simulator"}), 2.0
+GIVEN, GIVEN_WEIGHT = frozenset({"greybox", "physics_net", "simulator"}), 2.0
 NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75

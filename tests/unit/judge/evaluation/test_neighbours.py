@@ -11,10 +11,12 @@ from asia.data import Array, Signal, Trajectory
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.evaluation.requests import sessions
 from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
+from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, score_fold
 from asia.problem import Budget
 from asia.problem.folds import Block, make_folds
@@ -64,6 +66,16 @@ class Model:
 
 def fit(trajectories, context):
     return Model()
+"""
+
+LINEAR = """
+from asia.models import linear
+from asia.models.methods import LevenbergMarquardt
+
+
+def fit(trajectories, context):
+    model = linear.build(linear.Config(order=2, delay=0), context)
+    return linear.train(model, trajectories, context, LevenbergMarquardt(iterations=5))
 """
 
 
@@ -121,6 +133,29 @@ def test_it_gains_nothing_in_time_order(remember: str) -> None:
     judge = evaluator(without=[SuspicionKind.STRANGERS])
     found = judge.evaluate(CURVE.replace("REMEMBER", remember))
     assert value(found) == value(judge.evaluate(HOLD))
+
+
+def test_windows_of_the_library_go_side_by_side_and_those_of_other_code_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rows: list[int] = []
+    simulate = Worker.simulate
+
+    def watched(worker: Worker, past_u: Array, past_y: Array, u: Array, secret: bytes) -> Array:
+        rows.append(len(u))
+        return simulate(worker, past_u, past_y, u, secret)
+
+    monkeypatch.setattr(Worker, "simulate", watched)
+    judge = evaluator()
+    together = judge.evaluate(LINEAR)
+    sizes = [len(part) for fold in judge.data.folds for part in sessions(fold.held_out)]
+    assert sorted(rows) == sorted(sizes)
+    assert min(sizes) > 1
+    rows.clear()
+    alone = judge.evaluate(f"{LINEAR}\nOWN = [*range(3)]\n")
+    assert set(rows) == {1}
+    assert value(together) == pytest.approx(value(alone), rel=1e-9)
+    assert judge.objection(LINEAR, together.folds) is None
 
 
 @pytest.mark.slow

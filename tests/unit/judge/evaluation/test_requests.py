@@ -15,6 +15,7 @@ from asia.judge.evaluation.requests import (
     MOST_SESSIONS,
     MOST_TRAINING_WINDOWS,
     sessions,
+    simulate_each,
     simulate_held_out,
     simulate_training,
 )
@@ -74,6 +75,18 @@ def test_held_out_windows_arrive_one_by_one_in_time_order() -> None:
     assert all(len(request) == 1 for request in worker.sent)
     sent = [float(request[0]) for request in worker.sent]
     assert sent == sorted(sent)
+
+
+def test_windows_of_library_models_go_side_by_side() -> None:
+    found, worker = blocks([13, 17, 9]), Recorder()
+    answers = simulate_each(worker, found, range(len(found)), b"x", together=True)
+    check(found, [answers[i] for i in range(len(found))])
+    assert [len(request) for request in worker.sent] == [len(found)]
+    uneven = blocks([9, 5, 9], ProtocolRule(past_inputs=0, past_outputs=1))
+    worker = Recorder()
+    answers = simulate_each(worker, uneven, range(3), b"x", together=True)
+    check(uneven, [answers[i] for i in range(3)])
+    assert [request.tolist() for request in worker.sent] == [[0.0, 2000.0], [1000.0]]
 
 
 def test_training_windows_go_in_few_large_requests() -> None:
