@@ -244,7 +244,7 @@ def train(
         part = window_segments(z, context, _WINDOWS)
         time = context.sampling_time, context.n_past_u, context.n_past_y, context.horizon
         inputs, outputs = reused(
-            "static maps", (config, part, time),
+            "maps", (config, part, time),
             lambda log: _fitted(config, part, replace(context, log=log)), context.log,
         )  # fmt: skip
         maps = replace(maps, inputs=inputs, outputs=outputs)
