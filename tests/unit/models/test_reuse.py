@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import asia.models
+from asia.judge.sandbox.worker.wire import PROGRAM_KEY
 from asia.models import _reuse
 
 
@@ -75,3 +79,11 @@ def test_what_has_no_content_is_refused(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(_reuse, "store", Results())
     with pytest.raises(TypeError, match="no hash"):
         computed((print,))
+
+
+def test_the_store_of_a_search_takes_all_names() -> None:
+    package = Path(asia.models.__file__).parent
+    sources = "".join(file.read_text() for file in package.rglob("*.py"))
+    names = re.findall(r"\breused\(\s*\"([^\"]+)\"", sources)
+    assert len(names) == len(set(names)) == sources.count("reused(") - 1
+    assert all(PROGRAM_KEY.fullmatch(name.encode()) for name in names)

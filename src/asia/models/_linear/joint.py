@@ -72,7 +72,7 @@ def sampled_responses(context: Context, scaling: Scaling) -> list[SampledRespons
     size = scaling.u_std / scaling.y_std[:, None]
     for record in context.responses:
         fit = reused(
-            "frequency response",
+            "response",
             (record,),
             lambda _, record=record: fit_frequency_response(record),
             context.log,
