@@ -243,6 +243,9 @@ _LEAST_TERM, _LIKELY = 0.15, 0.7
 _LEAST_SHARE = 0.1
 _ANSWER = (0.85, 1.0)
 _NEXT = 0.97
+# Largest weight of static functions where the problem names the places of unknown effects, which
+# come first.
+_AFTER_CORRECTIONS = 0.89
 # V with static functions, over the least V without any, up to which other families start with them.
 _LEADING = 0.6
 
@@ -291,6 +294,8 @@ def answers(view: AgentView) -> dict[str, float]:
         if left:
             low, high = _ANSWER
             weight = low + (high - low) * min(1.0, share)
+            if name == "amplitude" and view.facts.physics and view.facts.physics.corrections:
+                weight = min(weight, _AFTER_CORRECTIONS)
             return {move: weight * _NEXT**place for place, move in enumerate(left)}
     return {}
 
