@@ -18,6 +18,7 @@ from asia.agents.library.record_facts import Switching, noise_of_periods, platea
 from asia.agents.library.registry import families, family
 from asia.agents.library.trial_evidence import overfit
 from asia.data import Trajectory
+from asia.problem.physics import Correction
 from asia.problem.plant import Plant, Unknown
 from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
 from tests.unit.agents.searches import (
@@ -73,6 +74,26 @@ def test_the_ladder_follows_the_kind_of_problem() -> None:
     assert families(body())[0].name == "physics_net"
     assert "physics_net" not in {row.name for row in families(simulation(physics=True))}
     assert "gp_narx" not in {row.name for row in families(long)}
+
+
+def test_where_all_states_are_measured_learned_terms_at_named_places_come_first() -> None:
+    known = body()
+    assert known.physics is not None
+    named = replace(
+        known.physics,
+        dynamics={"x": "v", "v": "-k*x + u + f"},
+        corrections={"f": Correction(0.5)},
+    )
+    known = replace(known, physics=named)
+    start = following(known, (), "explore")
+    assert start.family == "physics_net"
+    bent = (replace(trial(start, 1, 0.4), diagnoses=(("amplitude", 0.8),)),)
+    bent = (*bent, trial(following(known, bent, "explore"), 2, 0.6))
+    assert [t.family for t in bent] == ["physics_net", "greybox"]
+    assert following(known, bent, "explore").title == "physics network: network at the corrections"
+    plain = (replace(trial(following(body(), (), "explore"), 1, 0.4), diagnoses=bent[0].diagnoses),)
+    plain = (*plain, replace(bent[1], number=2))
+    assert following(body(), plain, "explore").title == "physics network: saturated inputs"
 
 
 def test_a_near_certain_move_interrupts_the_ladder() -> None:
