@@ -31,7 +31,7 @@ from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
-from asia.agents.library.traits import traits
+from asia.agents.library.traits import names_places, traits
 from asia.agents.library.trial_evidence import overfit
 from asia.agents.view import AgentStoppedError, AgentView, Proposal, Running, Trial
 
@@ -189,7 +189,7 @@ def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
-    static = static and set(places(view.facts)) != {DYNAMICS}
+    static = static and set(places(view.facts)) != {DYNAMICS} and not names_places(view.facts)
     maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:

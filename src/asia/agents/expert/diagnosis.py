@@ -15,6 +15,7 @@ from asia.agents.library.record_facts import (
     relation,
     sign_lost,
 )
+from asia.agents.library.traits import names_places
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
 
@@ -294,7 +295,7 @@ def answers(view: AgentView) -> dict[str, float]:
         if left:
             low, high = _ANSWER
             weight = low + (high - low) * min(1.0, share)
-            if name == "amplitude" and view.facts.physics and view.facts.physics.corrections:
+            if name == "amplitude" and names_places(view.facts):
                 weight = min(weight, _AFTER_CORRECTIONS)
             return {move: weight * _NEXT**place for place, move in enumerate(left)}
     return {}

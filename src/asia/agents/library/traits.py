@@ -48,3 +48,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "symmetric": bool(of_signals(facts.symmetry, inputs, outputs)),
     }
     return frozenset(name for name, holds in found.items() if holds)
+
+
+def names_places(facts: Facts) -> bool:
+    """Return whether the problem says where in the equations unknown effects enter."""
+    return facts.physics is not None and bool(facts.physics.corrections)

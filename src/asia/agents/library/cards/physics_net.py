@@ -7,18 +7,14 @@ from asia.agents.library.methods import LM, absolute_loss, adam_space
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.traits import names_places
 from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts, Trial
 
 
-def _at_places(facts: Facts) -> bool:
-    """Return whether the problem says where in the equations unknown effects enter."""
-    return facts.physics is not None and bool(facts.physics.corrections)
-
-
 def _space(facts: Facts) -> Space:
     places: list[Parameter] = []
-    if _at_places(facts):
+    if names_places(facts):
         places.append(Span("reach", 1.0, 4.0, needs="network"))
         if facts.symmetry:
             places.append(OneOf("symmetry", (False, True), needs="network"))
@@ -53,13 +49,13 @@ def _space(facts: Facts) -> Space:
 
 
 def _has_network_at_places(at: Situation) -> bool:
-    return _at_places(at.facts) and bool(at.recipe.get("network"))
+    return names_places(at.facts) and bool(at.recipe.get("network"))
 
 
 def _with_network(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
     """Add a small network to fitted equations, trained gently from there, or with corrections
     trained together with the equations from the priors of the parameters."""
-    if _at_places(facts):
+    if names_places(facts):
         return _network_at_places(facts, recipe, kind)
     recipe = recipe.configured(network=kind, hidden=32, size=0.1)
     if recipe.method == "Adam":
@@ -127,7 +123,7 @@ def _spread(trial: Trial) -> float:
 _MOVES: tuple[Move, ...] = (
     Move(
         name="network at the corrections",
-        weight=lambda c: 0.95 * _at_places(c.facts) * (not c.recipe.get("network")),
+        weight=lambda c: 0.95 * names_places(c.facts) * (not c.recipe.get("network")),
         change=lambda c: _network_at_places(c.facts, c.recipe, "gru"),
         hypothesis="Known physics with its symmetries, started at probable parameters, leaves "
         "small unknown effects at known places for a network with memory.",
