@@ -404,9 +404,9 @@ class Started:
     """`gpu` in older ledgers only, where candidates trained networks on one."""
     literal_check: Annotated[bool, _omitted(False)] = False
     """True if the literals of new bests are compared with their gain; False in older ledgers."""
-    retests_below_linear: Annotated[bool, _omitted(False)] = False
-    """True if only candidates with a V below that of the linear reference are fitted from other
-    seeds; False in older ledgers."""
+    retest_limit: Annotated[float | None, _omitted(None)] = None
+    """V over that of the linear reference from which on a candidate is not fitted from other seeds;
+    None in older ledgers, where all are."""
     event: Literal["started"] = "started"
 
     @property

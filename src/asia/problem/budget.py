@@ -24,7 +24,7 @@ class Budget:
     """Experiments in the refine phase without a better model before the search counts as
     saturated."""
     retests: Annotated[int, Ge(0)] = 2
-    """The most fits from other seeds of a candidate about to be kept; with 0, and where V is above
-    that of the linear reference, its first fit decides."""
+    """The most fits from other seeds of a candidate about to be kept; with 0, and where V is far
+    above that of the linear reference, its first fit decides."""
     hours: Annotated[float, Gt(0)] | None = None
     """Hours of evaluation after which no experiment starts; None is open."""

@@ -34,6 +34,10 @@ _WORTH_A_RETEST = 0.5
 """The share of the threshold by which a first fit must be lower: with less, two more fits make a
 new best very unlikely."""
 
+RETEST_LIMIT = 1.5
+"""V over that of the linear reference from which on nobody would use a candidate, so that its
+scatter is not worth two fits: those of a poor baseline can take as long as a whole search."""
+
 _NARROW = 0.1
 """The largest threshold, over the mean, that an incumbent fitted from fewer seeds may leave."""
 
@@ -137,11 +141,9 @@ def _decide_by_retests(
     retests: list[Retest] = []
     values, failure = [score.value], None
     most = view.started.retests
-    if view.started.retests_below_linear:
-        linear = view.reference_value(LINEAR_REFERENCE)
-        if linear is not None and score.value >= linear:
-            # Its scatter would be the threshold for nothing that anybody would use.
-            most = 0
+    limit, linear = view.started.retest_limit, view.reference_value(LINEAR_REFERENCE)
+    if limit is not None and linear is not None and score.value >= limit * linear:
+        most = 0
 
     def fit(number: int) -> Evaluation:
         return evaluator.evaluate(source, _FIRST_SEED + number)

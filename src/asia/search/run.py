@@ -49,6 +49,7 @@ from asia.problem.problem import Problem, kept_places, record_places
 from asia.problem.protocol import EarlyStopping
 from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
+from asia.search.decision import RETEST_LIMIT
 from asia.search.loop import Loop, OnEvent
 from asia.search.pending import check_steps_ahead, check_ways
 from asia.search.steering import RunningLosses
@@ -266,7 +267,7 @@ def prepare(
         parallel=parallel,
         stop_folds=stop_folds,
         literal_check=True,
-        retests_below_linear=True,
+        retest_limit=RETEST_LIMIT,
     )
     return Prepared(problem, directory, lock, started, resumes)
 

@@ -22,7 +22,7 @@ from asia.ledger.events import Evaluated, Event, Proposed, ReferenceScored, Rete
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.text import decision_text, method_note, threshold_text
 from asia.ledger.view import Experiment, SearchView, replay
-from asia.search.decision import Decision, decide
+from asia.search.decision import RETEST_LIMIT, Decision, decide
 from asia.search.replay import replay_run
 from tests.unit.search.toy import Scripted, arx, write_problem
 
@@ -149,16 +149,16 @@ def test_the_first_candidate_with_a_score_is_kept_and_measures_the_threshold() -
     assert judged(view, 1.0, Failure(Reason.CRASH))[0].status == "keep"
 
 
-def test_only_what_beats_the_linear_reference_is_fitted_from_other_seeds() -> None:
+def test_what_is_far_worse_than_the_linear_reference_is_not_fitted_from_other_seeds() -> None:
     known = a_search(2, 1.0)
     view = replace(
         known,
-        started=replace(known.started, retests_below_linear=True),
-        references=(ReferenceScored(LINEAR_REFERENCE, Score(0.5, ())),),
+        started=replace(known.started, retest_limit=RETEST_LIMIT),
+        references=(ReferenceScored(LINEAR_REFERENCE, Score(0.4, ())),),
     )
     first = replace(view, experiments=())
     assert judged(first, 0.7)[1] == 1
-    assert judged(first, 0.4, 0.41, 0.42)[1] == 3
+    assert judged(first, 0.5, 0.51, 0.52)[1] == 3
     found, fits = judged(view, 0.7)
     assert (found.status, found.retests, found.lowest, fits) == ("keep", (), True, 1)
     assert decision_text(with_another(view, 2, found).experiments[1], view) == (
@@ -215,7 +215,8 @@ def test_a_deterministic_search_repeats_each_new_best_once(tmp_path: Path) -> No
     problem = write_problem(tmp_path / "toy", retests=2)
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
     again = [e.result.retests for e in run.view.finished if e.result]
-    assert [[r.same for r in retests] for retests in again] == [[True], [True]]
+    # The first one is far worse than the linear reference.
+    assert [[r.same for r in retests] for retests in again] == [[], [True]]
     assert run.view.best is not None
     assert run.view.best.number == 2
 
