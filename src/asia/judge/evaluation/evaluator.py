@@ -32,6 +32,7 @@ from asia.judge.evaluation.requests import (
     MOST_TRAINING_WINDOWS,
     secret_of,
     sessions,
+    side_by_side,
     simulate_each,
     spread,
 )
@@ -62,8 +63,6 @@ M models, not finite where one diverges."""
 _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]
 
 _STRANGERS_ASKED = 4
-# Relations that code of the library alone is not asked for: see `StoredModels.left_out`.
-_OF_OTHER_CODE = SuspicionKind.BLOCK_END, SuspicionKind.STRANGERS, SuspicionKind.REPLAY
 # Training samples of a fold.
 _LONG = 100_000
 
@@ -224,11 +223,16 @@ class StoredModels:
         return self._workers.run([partial(lowered, model) for model in models])
 
     def left_out(self, source: str) -> Collection[SuspicionKind]:
-        """Relations that are not checked for a source. Code of the library keeps nothing between
-        cases, which its tests check, and its cases are simulated side by side, which changes their
-        last digits. It draws no simulation to the data after a block, and the past window shows so
-        little of two slow states that BLOCK_END would object to an honest model of them."""
-        return {*self._options.without, *(_OF_OTHER_CODE if library_only(source) else ())}
+        """Relations that are not checked for a source. Code of the library draws no simulation to
+        the data after a block, and the past window shows so little of two slow states that
+        BLOCK_END would object to an honest model of them. It keeps nothing between cases, which its
+        tests check, and its windows are simulated side by side, which changes their last digits."""
+        without = {*self._options.without}
+        if library_only(source):
+            without.add(SuspicionKind.BLOCK_END)
+        if side_by_side(source, self._data.rule):
+            without |= {SuspicionKind.STRANGERS, SuspicionKind.REPLAY}
+        return without
 
     def check_seed(self, source: str, *parts: object) -> int:
         """Seed of the requests of a check, another one for each source: the result of a check tells
@@ -294,8 +298,9 @@ class StoredModels:
         for part in parts:
             with self._loaded(source, model) as worker:
                 found |= simulate_each(
-                    worker, blocks, part, self.secret_of(blocks), together=library_only(source)
-                )
+                    worker, blocks, part, self.secret_of(blocks),
+                    together=side_by_side(source, self._data.rule),
+                )  # fmt: skip
         return tuple(found[i] for i in range(len(blocks)))
 
     def secret_of(self, blocks: Sequence[Block]) -> bytes | None:

@@ -13,12 +13,12 @@ from itertools import chain
 from typing import Protocol
 
 from asia._timer import Activity
-from asia.candidate import Context, imported_libraries, library_only
+from asia.candidate import Context, imported_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
 from asia.judge.evaluation.machines import check_installation, installation
 from asia.judge.evaluation.relations import SuspicionKind
-from asia.judge.evaluation.requests import simulate_each, simulate_training
+from asia.judge.evaluation.requests import side_by_side, simulate_each, simulate_training
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.transport import (
     FoldAnswer,
@@ -102,7 +102,7 @@ def fit_fold(
                 simulate_training(worker.simulate_known, inside, data.rule.horizon)
                 simulating = worker.spent[Activity.SIMULATE][1] - first
             blocks, (first, *others) = data.blocks, data.sessions
-            together = library_only(work.source)
+            together = side_by_side(work.source, data.rule)
             found = simulate_each(worker, blocks, first, data.secret, together=together)
         for session in others:
             with open_worker(work.source, fitting=False) as fresh:

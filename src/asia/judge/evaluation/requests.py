@@ -10,9 +10,11 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from asia.candidate import library_only
 from asia.data.trajectory import Array, filled
 from asia.judge.scoring.outcome import check_reply
 from asia.problem.folds import Block
+from asia.problem.protocol import ProtocolRule
 
 MOST_TRAINING_WINDOWS = 256
 MOST_SESSIONS = 16
@@ -66,6 +68,12 @@ def secret_of(blocks: Sequence[Block]) -> bytes:
     return hashlib.sha256(b"".join(block.y.tobytes() for block in blocks)).digest()
 
 
+def side_by_side(source: str, rule: ProtocolRule) -> bool:
+    """Return whether windows of a candidate may go side by side: no row of a batch depends on
+    another in code of the library."""
+    return rule.horizon is not None and library_only(source)
+
+
 def simulate_each(
     worker: CaseSimulator,
     blocks: Sequence[Block],
@@ -79,8 +87,7 @@ def simulate_each(
     Args:
         order: indices into `blocks`
         secret: `secret_of` all blocks; None to show all inputs at once, which no search does
-        together: blocks of the same size go side by side, which is faster; for models of the
-            library alone, where no row of a batch depends on another
+        together: blocks of the same size go side by side, which is faster; see `side_by_side`
 
     Returns:
         outputs (H, ny) by index

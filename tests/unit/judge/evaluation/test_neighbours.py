@@ -11,7 +11,7 @@ from asia.data import Array, Signal, Trajectory
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
-from asia.judge.evaluation.requests import sessions
+from asia.judge.evaluation.requests import sessions, side_by_side
 from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
@@ -156,6 +156,8 @@ def test_windows_of_the_library_go_side_by_side_and_those_of_other_code_one_by_o
     assert set(rows) == {1}
     assert value(together) == pytest.approx(value(alone), rel=1e-9)
     assert judge.objection(LINEAR, together.folds) is None
+    # Whole records are asked as those of other code are.
+    assert not side_by_side(LINEAR, ProtocolRule())
 
 
 @pytest.mark.slow
