@@ -35,6 +35,7 @@ from asia.models._state_space.model import (
     in_modes,
     starts_of,
     symmetric,
+    with_unit_states,
 )
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
 from asia.models._steps import TrainableModel
@@ -236,6 +237,8 @@ def _begun(
     if place == "modal":
         found, pairs = in_modes(found, used, c.integrators)
         place = "modal" if pairs else "none"
+    else:
+        found = with_unit_states(found, used, c.integrators)
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, place, c.basis, c.hidden, c.degree,
         c.channels, friction=c.friction, play=c.play, integrators=c.integrators,

@@ -26,7 +26,7 @@ from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
 from asia.models._numerics.segments import window_segments
 from asia.models._numerics.training_records import check, scaled
-from asia.models._state_space.model import FittedStateSpace
+from asia.models._state_space.model import FittedStateSpace, with_unit_states
 from asia.models._steps import TrainableModel
 
 if TYPE_CHECKING:
@@ -138,6 +138,10 @@ def train(
             cores.append(LinearCore(*linear.fit_records(records, context, choice, Refinement())))
     # A mode that the best linear model does not have follows the drift of these records.
     cores = [core for core in cores if _drifting(core) <= _drifting(first)] or cores
+    cores = [
+        core._replace(found=with_unit_states(core.found, core.records, c.integrators))
+        for core in cores
+    ]
     options = FeedbackOptions(
         c.channels, c.hidden, c.ridge, c.linear_ridge, c.encoder, c.integrators, c.pieces
     )

@@ -376,6 +376,8 @@ _WIDTH = 0.5
 _PARTS = (np.real, np.imag)
 # Condition number of the mode shapes from which on they are not used.
 _ILL_CONDITIONED = 1e8
+# Least variance of a direction of the states, relative to the largest one: less is rounding.
+_LEAST_VARIANCE = 1e-8
 # Samples for the size of the signals that elements act on.
 _SIZED = 4000
 
@@ -406,9 +408,7 @@ def in_modes(found: LinearFit, records: ScaledData, integrators: int) -> tuple[L
     if np.linalg.cond(basis) > _ILL_CONDITIONED:
         # Poles that coincide: the states as they are.
         basis, many = np.eye(len(basis)), 0
-    states = np.concatenate([
-        s.simulate(one[None], r.u[None])[0][0] for one, r in zip(x0, records, strict=True)
-    ])  # fmt: skip
+    states = _states(found, records)
     into = np.eye(s.order)
     into[: len(columns), : len(columns)] = np.linalg.inv(basis)
     sizes = np.sqrt(((states @ into.T) ** 2).mean(axis=0))
@@ -416,6 +416,30 @@ def in_modes(found: LinearFit, records: ScaledData, integrators: int) -> tuple[L
     sizes[len(columns) :] = 1.0
     into /= np.maximum(sizes, 1e-9)[:, None]
     return replace(found, system=s.transformed(into), x0=x0 @ into.T), many // 2
+
+
+def with_unit_states(found: LinearFit, records: ScaledData, integrators: int) -> LinearFit:
+    """Give the linear model uncorrelated states of unit variance on the records, those that
+    integrate apart. In other coordinates a function may not see a small state, or a ridge may hold
+    it."""
+    s = found.system
+    free = s.order - integrators
+    with np.errstate(all="ignore"):
+        spread = np.atleast_2d(np.cov(_states(found, records)[:, :free].T))
+    into = np.eye(s.order)
+    if np.isfinite(spread).all() and spread.any():
+        sizes, directions = np.linalg.eigh(spread)
+        least = _LEAST_VARIANCE * sizes[-1]
+        into[:free, :free] = (directions / np.sqrt(np.maximum(sizes, least))).T
+    return replace(found, system=s.transformed(into), x0=found.x0 @ into.T)
+
+
+def _states(found: LinearFit, records: ScaledData) -> Array:
+    """States of the linear model on all records, one below the other."""
+    return np.concatenate([
+        found.system.simulate(x0[None], r.u[None])[0][0]
+        for x0, r in zip(found.x0, records, strict=True)
+    ])  # fmt: skip
 
 
 def with_elements(structure: StateSpaceStructure, found: LinearFit) -> LinearFit:

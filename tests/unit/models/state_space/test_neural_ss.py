@@ -17,8 +17,11 @@ from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models import linear, neural_ss
 from asia.models._least_squares import LevenbergMarquardt
+from asia.models._linear.fit import LinearFit
+from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import affine
 from asia.models._numerics.training_records import ScaledTrajectory
+from asia.models._state_space.model import with_unit_states
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models._state_space.training import past_window_error
 from asia.models.methods import Adam
@@ -222,3 +225,26 @@ def test_polynomials_are_the_monomials_up_to_the_degree() -> None:
 def test_channels_go_with_a_state_nonlinearity_only() -> None:
     with pytest.raises(UserError, match="channels"):
         neural_ss.Config(nonlinearity="input", channels=1)
+
+
+@pytest.mark.parametrize("integrators", [0, 1])
+def test_states_of_unit_size_simulate_the_same(integrators: int) -> None:
+    rng = np.random.default_rng(0)
+    last = 1.0 if integrators else 0.5
+    a = np.array([[0.9, 1e-3, 0.0], [0.0, 0.8, 0.0], [0.3, 0.0, last]])
+    system = LinearSystem(
+        a, np.array([[1.0], [1e-4], [0.0]]), np.array([[1.0, 1e3, 1.0]]), np.zeros((1, 1)),
+        np.zeros(1),
+    )  # fmt: skip
+    u = rng.standard_normal((400, 1))
+    y = system.simulate(np.zeros((1, 3)), u[None])[1][0]
+    record = ScaledTrajectory(u, y, np.ones(400), u, np.ones(400))
+    found = with_unit_states(LinearFit(system, np.zeros((1, 3)), 0.0), (record,), integrators)
+    states, outputs = found.system.simulate(found.x0, u[None])
+    assert outputs[0] == pytest.approx(y, rel=1e-6)
+    free = 3 - integrators
+    assert np.cov(states[0, :, :free].T) == pytest.approx(np.eye(free), abs=1e-6)
+    # A state that integrates stays one, and no other state reads it.
+    assert found.system.a[:, free:] == pytest.approx(a[:, free:], abs=1e-9)
+    lost = replace(found, system=replace(system, a=2.0 * a))
+    assert with_unit_states(lost, (record,), integrators).system.order == 3
