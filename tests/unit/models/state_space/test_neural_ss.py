@@ -233,7 +233,7 @@ def test_states_of_unit_size_simulate_the_same(integrators: int) -> None:
     last = 1.0 if integrators else 0.5
     a = np.array([[0.9, 1e-3, 0.0], [0.0, 0.8, 0.0], [0.3, 0.0, last]])
     system = LinearSystem(
-        a, np.array([[1.0], [1e-4], [0.0]]), np.array([[1.0, 1e3, 1.0]]), np.zeros((1, 1)),
+        a, np.array([[1.0], [1e-2], [0.0]]), np.array([[1.0, 1e2, 1.0]]), np.zeros((1, 1)),
         np.zeros(1),
     )  # fmt: skip
     u = rng.standard_normal((400, 1))
