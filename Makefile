@@ -1,7 +1,8 @@
-# make demo: the simulated two-tank problem, set-up included. make test: the checks of every change.
-# make test-all: the slower ones, and the documentation. make test-long: those that take longest,
-# before a release. make docs: the documentation as a site, in build/site. make tutorial, make picture:
-# the outputs in docs/tutorial.md and the picture in README.md, made anew.
+# make demo: the simulated two-tank problem, set-up included. make test: the tests of every change.
+# make lint: layout, types and imports. make test-all: lint, the slower tests, and the documentation.
+# make test-long: the tests that take longest, before a release. make docs: the documentation as a
+# site, in build/site. make tutorial, make picture: the outputs in docs/tutorial.md and the picture
+# in README.md, made anew.
 PYTHON ?= python3
 BIN := .venv/bin
 RUNS ?= runs
@@ -40,13 +41,13 @@ demo: compiled
 	@printf '\n%s\n%s\n' 'Type next:  source .venv/bin/activate    (puts the command asia on the PATH)' \
 	  '            asia show                    (then: docs/tutorial.md, for your own data)'
 
-# Many tests wait, so that lint runs beside them; what it says comes after them.
 test: .venv/ready-dev compiled
-	@mkdir -p build; $(MAKE) --no-print-directory lint >build/lint.txt 2>&1 & lint=$$!; \
-	$(PYTEST); tests=$$?; wait $$lint; lint=$$?; cat build/lint.txt; exit $$((tests | lint))
+	$(PYTEST)
 
+# Many tests wait, so that lint runs beside them; what it says comes after them.
 test-all: .venv/ready-dev compiled docs
-	$(PYTEST) -m 'slow and not long'
+	@mkdir -p build; $(MAKE) --no-print-directory lint >build/lint.txt 2>&1 & lint=$$!; \
+	$(PYTEST) -m 'slow and not long'; tests=$$?; wait $$lint; lint=$$?; cat build/lint.txt; exit $$((tests | lint))
 
 test-long: .venv/ready-docs
 	$(PYTEST) -m long

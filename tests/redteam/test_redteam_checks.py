@@ -46,6 +46,7 @@ def test_an_attack_succeeds_without_the_checks_that_stop_it_and_not_with_them():
 STANDARDISED = next(a for a in CHECKED if Principle.FOLD_STATISTICS in a.checks)
 
 
+@pytest.mark.slow
 @needs_level
 @pytest.mark.parametrize(
     "variant",

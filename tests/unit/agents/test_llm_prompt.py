@@ -48,14 +48,14 @@ def now(*trials: Trial, phase: str = "refine", **changes: object) -> AgentView:
 def test_a_long_search_stays_short() -> None:
     trials = tuple(
         trial(n, None if n % 3 == 0 else 1 / n, error=f"Traceback\n{'z' * 9000}")
-        for n in range(1, 400)
+        for n in range(1, 150)
     )
-    text = search_text(now(*trials, notes=("n" * 9000,) * 30), Task("refine", 398))
+    text = search_text(now(*trials, notes=("n" * 9000,) * 30), Task("refine", 148))
     assert len(text) < 50_000
     assert "older ones are left out" in text
-    for number in (398, 397, 395, 399):
+    for number in (148, 147, 145, 149):
         assert f"\n#{number} " in text
-    assert "\n#100 " not in text
+    assert "\n#40 " not in text
 
 
 def test_the_prompt_describes_every_kind_of_problem() -> None:

@@ -150,6 +150,7 @@ def test_another_family_is_fitted_to_the_mapped_records() -> None:
     assert 5 * errors[1] < errors[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["linear", "greybox", pytest.param("narx", marks=pytest.mark.long)]
 )

@@ -115,6 +115,7 @@ def test_a_failing_section_shows_its_line(finished: Path, monkeypatch: pytest.Mo
     assert "check section" in write_page(finished).read_text()
 
 
+@pytest.mark.slow
 def test_a_score_that_raises_ends_the_search_and_status_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,6 +150,7 @@ def test_errors_raised_on_purpose_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     assert failed == []
 
 
+@pytest.mark.slow
 def test_a_model_that_fails_in_a_check_is_not_called_unstable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
