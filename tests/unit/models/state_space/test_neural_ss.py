@@ -212,7 +212,7 @@ def test_fits_are_ranked_by_their_error_from_past_windows() -> None:
         simulated = alone.simulate(record.u[None, :4], record.y[None, :4], record.u[None, 4:])[0]
         errors.append(float(((simulated - record.y[4:]) ** 2).mean()))
     assert errors == sorted(errors)
-    assert errors[2] > 2 * errors[0]
+    assert errors[2] > 1.2 * errors[0]
 
 
 def test_polynomials_are_the_monomials_up_to_the_degree() -> None:
