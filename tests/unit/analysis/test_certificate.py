@@ -133,6 +133,7 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
 SIGNALS: dict[str, Any] = {**FACTS, "inputs": [("pump", "V")], "outputs": [("level", "m")]}
 
 
+@pytest.mark.slow
 def test_limits_of_the_outputs_are_proven_or_refuted(tmp_path: Path) -> None:
     def certified(low: float, high: float) -> dict[str, Any]:
         return certify(tank(), LIMITS, np.zeros(2), 30, SIGNALS, np.array([[low, high]]))

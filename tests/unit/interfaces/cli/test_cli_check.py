@@ -7,6 +7,7 @@ from asia.problem.load import builtin_problems
 from .conftest import Asia
 
 
+@pytest.mark.slow
 def test_picture_that_cannot_be_written_is_a_note(
     problem: Path, tmp_path: Path, asia: Asia, monkeypatch: pytest.MonkeyPatch
 ) -> None:

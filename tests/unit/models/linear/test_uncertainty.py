@@ -123,6 +123,7 @@ def test_a_missing_effect_that_the_residuals_show_widens_the_interval() -> None:
     assert found[0] == 0.0
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_where_samples_are_missing() -> None:
     """The missing samples have residuals of any size; the fit did not use them."""
     rng, held = np.random.default_rng(6), []

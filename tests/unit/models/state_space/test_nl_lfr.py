@@ -153,6 +153,7 @@ def test_a_fit_of_growing_outputs_stays_stable_with_the_stability_term(held: boo
     assert StabilityTerm.of(np.array([[1.0]]), length, 1.0) is None
 
 
+@pytest.mark.slow
 def test_no_mode_follows_the_drift_of_a_record() -> None:
     data = case(lambda u: filtered(u) + np.linspace(-0.7, 0.7, len(u))[:, None] ** 2)
     every = [

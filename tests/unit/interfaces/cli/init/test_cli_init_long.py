@@ -27,6 +27,7 @@ def test_blocks_of_a_record_are_its_text(monkeypatch: pytest.MonkeyPatch) -> Non
     assert told == ["writing r: 40% of 10 rows", "writing r: 80% of 10 rows"]
 
 
+@pytest.mark.slow
 def test_a_long_parquet_file_is_never_read_as_text(
     asia: Asia, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
