@@ -45,17 +45,18 @@ def now(*trials: Trial, phase: str = "refine", **changes: object) -> AgentView:
     return replace(view(simulation(physics=True), trials, phase), **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_long_search_stays_short() -> None:
     trials = tuple(
         trial(n, None if n % 3 == 0 else 1 / n, error=f"Traceback\n{'z' * 9000}")
-        for n in range(1, 150)
+        for n in range(1, 400)
     )
-    text = search_text(now(*trials, notes=("n" * 9000,) * 30), Task("refine", 148))
+    text = search_text(now(*trials, notes=("n" * 9000,) * 30), Task("refine", 398))
     assert len(text) < 50_000
     assert "older ones are left out" in text
-    for number in (148, 147, 145, 149):
+    for number in (398, 397, 395, 399):
         assert f"\n#{number} " in text
-    assert "\n#40 " not in text
+    assert "\n#100 " not in text
 
 
 def test_the_prompt_describes_every_kind_of_problem() -> None:
