@@ -193,7 +193,7 @@ def test_members_are_the_best_fits_and_answer_by_their_median() -> None:
 @pytest.mark.slow
 def test_fits_are_ranked_by_their_error_from_past_windows() -> None:
     """The slow state of this system hides errors of the fit from its own initial state."""
-    rng, n = np.random.default_rng(4), 160
+    rng, n = np.random.default_rng(11), 160
     u = np.repeat(rng.uniform(-1, 1, n // 8), 8)
     y, x, slow = np.zeros(n), 0.0, 0.0
     for k in range(n):
@@ -212,7 +212,7 @@ def test_fits_are_ranked_by_their_error_from_past_windows() -> None:
         simulated = alone.simulate(record.u[None, :4], record.y[None, :4], record.u[None, 4:])[0]
         errors.append(float(((simulated - record.y[4:]) ** 2).mean()))
     assert errors == sorted(errors)
-    assert errors[2] > 1.2 * errors[0]
+    assert errors[2] > 2 * errors[0]
 
 
 def test_polynomials_are_the_monomials_up_to_the_degree() -> None:
