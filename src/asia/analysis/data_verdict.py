@@ -6,11 +6,14 @@ of data); Hjalmarsson, European Journal of Control 15, 2009.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from asia.data.statistics import delays
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.judge.evaluation.findings import search_context
 from asia.models._linear.fit import Refinement
@@ -34,8 +37,9 @@ class LinearEvidence:
     """Order and delay that a linear model of the records needs."""
 
     selection: Selection
-    delay: int
-    """Samples before the first input acts on an output."""
+    delays: dict[str, int]
+    """Samples before each input acts on an output, by name; inputs without an effect are left
+    out."""
     time_constants: tuple[float, ...]
     """Those of the modes that move an output, in s, the slowest first; inf for one slower than the
     records."""
@@ -50,18 +54,20 @@ class LinearEvidence:
         """The proposal and its evidence as text."""
         chosen, step = self.selection, self.sampling_time
         orders = ", ".join(f"{n}: {e:.2g}" for n, e in chosen.order_errors.items())
-        near = [(d, e) for d, e in chosen.delay_errors.items() if d <= chosen.delay + 3]
-        delays = ", ".join(f"{d}: {e:.2g}" for d, e in near)
         times = ", ".join(
             f"{t:.3g} s" if math.isfinite(t) else "longer than the records"
             for t in self.time_constants
         )
-        count = f"{self.delay} sample{'' if self.delay == 1 else 's'}"
+        alone = len(self.delays) == 1
+        counts = ", ".join(
+            f"{d} sample{'' if d == 1 else 's'} ({d * step:g} s)" + ("" if alone else f" of {name}")
+            for name, d in self.delays.items()
+        )
         return [
-            f"proposed  linear model of order {chosen.order}, delay {count} "
-            f"({self.delay * step:g} s)" + (f", time constants {times}" if times else ""),
+            f"proposed  linear model of order {chosen.order}"
+            + (f", delay {counts}" if counts else "")
+            + (f", time constants {times}" if times else ""),
             f"evidence  held-out simulation error in standard deviations by order: {orders}",
-            f"evidence  error by samples of extra delay: {delays}",
         ]
 
 
@@ -130,13 +136,14 @@ def _linear_evidence(problem: Problem) -> LinearEvidence | None:
     if context.nu + context.ny > _MOST_CHANNELS or context.nu == 0:
         return None
     train = prepared(problem, problem.train)
-    records = scaled(train, Scaling.of(train))
-    config = Config(max_order=_MOST_ORDER, delay=None)
+    known = _first_responses(problem, train)
+    records = scaled(_without_delays(train, list(known.values())), Scaling.of(train))
+    config = Config(max_order=_MOST_ORDER, delay=0)
     try:
         chosen = select(records, context, config, Refinement())
-        known = Config(order=chosen.order, delay=chosen.delay)
+        fixed = Config(order=chosen.order, delay=0)
         part = shortened(records, _MOST_SAMPLES, _MOST_SAMPLES // 10)
-        system = fit_records(part, context, known, Refinement(iterations=20))[0].system
+        system = fit_records(part, context, fixed, Refinement(iterations=20))[0].system
     except (UserError, ValueError, np.linalg.LinAlgError):
         return None
     if not all(map(math.isfinite, chosen.order_errors.values())):
@@ -153,11 +160,28 @@ def _linear_evidence(problem: Problem) -> LinearEvidence | None:
             time = -1.0 / math.log(size) if size < 1 else math.inf
             times.append(time if time < len(longest) else math.inf)
     times.sort(reverse=True)
-    found = [one.delay.lag for one in input_delays(problem) if one.delay.lag is not None]
-    direct = float(np.abs(system.d).max()) > 0.02 * float(np.abs(system.gain).max())
-    delay = min(found) if found else chosen.delay + (0 if direct else 1)
     step = problem.sampling_time
-    return LinearEvidence(chosen, delay, tuple(t * step for t in times), step)
+    shown = {name: lag for name, lag in known.items() if lag is not None}
+    return LinearEvidence(chosen, shown, tuple(t * step for t in times), step)
+
+
+def _first_responses(problem: Problem, records: Sequence[Trajectory]) -> dict[str, int | None]:
+    """Samples until the first output responds to each input; None without an effect."""
+    columns = zip(*delays(records), strict=True)
+    lags = [[d.lag for d in column if d is not None and d.lag is not None] for column in columns]
+    names = [signal.name for signal in problem.inputs]
+    return {name: min(lag, default=None) for name, lag in zip(names, lags, strict=True)}
+
+
+def _without_delays(records: Sequence[Trajectory], lags: Sequence[int | None]) -> list[Trajectory]:
+    """Records whose inputs act in the next sample, from where all delayed inputs are known."""
+    late = [max((lag or 1) - 1, 0) for lag in lags]
+    longest = min(max(late, default=0), min(map(len, records)) // 2)
+    found: list[Trajectory] = []
+    for record in records:
+        u = np.stack([np.roll(v, min(k, longest)) for v, k in zip(record.u.T, late, strict=True)])
+        found.append(replace(record, u=u.T)[longest:])
+    return found
 
 
 def _judge_linear(

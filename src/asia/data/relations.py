@@ -1,4 +1,4 @@
-"""Relations between signals in records: delays, feedback, transport, integrals, copies."""
+"""Relations between signals in records: transport, integrals, copies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -79,85 +79,6 @@ def _run_hashes(record: Trajectory) -> tuple[NDArray[np.uint64], NDArray[np.bool
         if k < _RUN - 1:
             changes += step[k : k + count]
     return hashes, changes > 0
-
-
-# Delays between inputs and outputs, and feedback, by correlation.
-
-
-PAIR, ALONE = 1.35, 2.0
-"""Times the 99 % band that the correlation of two neighbouring lags, and of one lag, exceeds at a
-delay."""
-
-
-@dataclass(frozen=True)
-class FoundDelay:
-    """Delay from an input to an output.
-
-    Attributes:
-        lag: samples until the output responds, 0 for a direct feed-through; None where no lag
-            exceeds the thresholds. correlation: (lags,) from 0 on; band: its 99 % band without any
-            effect.
-    """
-
-    lag: int | None
-    correlation: Array
-    band: float
-
-
-def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> FoundDelay:
-    """The first lag at which the prewhitened input and the output correlate (Box and Jenkins, Time
-    Series Analysis, section 11.2). As many lags are tested, the thresholds are `ALONE` times the
-    99 % band, or `PAIR` times it at two neighbouring lags."""
-    longest = min(100, min(len(r) for r in records) // 4)
-    pairs = _whitened(records, channel, output)
-    energy_u, energy_y = sum(u @ u for u, _ in pairs), sum(y @ y for _, y in pairs)
-    lags = range(longest + 1)
-    sums = np.sum([[u[: len(u) - k] @ y[k:] for k in lags] for u, y in pairs], axis=0)
-    correlation = sums / max(np.sqrt(energy_u * energy_y), 1e-300)
-    # The 99 % point of a normal distribution.
-    band = 2.576 / np.sqrt(max(sum(len(u) for u, _ in pairs), 1))
-    beyond = np.abs(correlation) > PAIR * band
-    strong = np.abs(correlation) > ALONE * band
-    hits = np.flatnonzero(strong | (beyond & np.append(beyond[1:], False)))
-    return FoundDelay(int(hits[0]) if hits.size else None, correlation, band)
-
-
-def find_feedback(records: Sequence[Trajectory], channel: int, output: int) -> bool | None:
-    """Return whether the innovation of the input correlates with earlier outputs beyond the 99 %
-    band.
-
-    Without feedback the innovation is independent of past outputs (Ljung, System Identification,
-    2nd ed., section 13.4). None where the filter leaves an innovation that is not white, as for a
-    few sines: the band does not hold for it.
-    """
-    lags = range(1, min(20, min(len(r) for r in records) // 4) + 1)
-    pairs = _whitened(records, channel, output)
-    energy_u, energy_y = sum(u @ u for u, _ in pairs), sum(y @ y for _, y in pairs)
-    back = np.sum([[u[k:] @ y[: len(y) - k] for k in lags] for u, y in pairs], axis=0)
-    own = np.sum([[u[k:] @ u[: len(u) - k] for k in lags] for u, _ in pairs], axis=0)
-    # The 99 % point of the largest of twenty correlations.
-    band = 3.48 / np.sqrt(max(sum(len(u) for u, _ in pairs), 1))
-    if energy_u <= 0 or energy_y <= 0 or np.abs(own).max() > band * energy_u:
-        return None
-    return bool(np.abs(back).max() > band * np.sqrt(energy_u * energy_y))
-
-
-def _whitened(
-    records: Sequence[Trajectory], channel: int, output: int
-) -> list[tuple[Array, Array]]:
-    """Input and output of each record, filtered by an autoregressive filter that makes the inputs
-    white."""
-    inputs = [r.u[:, channel] - r.u[:, channel].mean() for r in records]
-    outputs = [r.y[:, output] - r.y[:, output].mean() for r in records]
-    order = min(15, min(len(u) for u in inputs) // 8)
-    lags = np.concatenate([np.lib.stride_tricks.sliding_window_view(u, order + 1) for u in inputs])
-    found = np.linalg.lstsq(lags[:, :-1][:, ::-1], lags[:, -1], rcond=1e-8)[0]
-    weights = np.concatenate([[1.0], -found])
-
-    def filtered(values: Array) -> Array:
-        return np.convolve(values, weights)[order : len(values)]
-
-    return [(filtered(u), filtered(y)) for u, y in zip(inputs, outputs, strict=True)]
 
 
 # Relation between the increments of outputs and the integrals of others.

@@ -8,6 +8,7 @@ from typing import get_args
 import numpy as np
 
 from asia.data.frequency import FrequencyRecord
+from asia.data.statistics import integrating
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.pipeline import measured
@@ -60,6 +61,12 @@ class LinearPoint:
         return fold_band(self.model.gain, folds) if len(folds) > 1 else None
 
     @property
+    def slope_gain_band(self) -> tuple[Array, Array] | None:
+        """90 % band of the slope gain, as `gain_band`."""
+        folds = [one.slope_gain for one in self.folds]
+        return fold_band(self.model.slope_gain, folds) if len(folds) > 1 else None
+
+    @property
     def mode_bands(self) -> list[tuple[Array, Array] | None]:
         """90 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
         the nearest modes of the fold models; None where fewer than two of them have one. That of
@@ -104,6 +111,8 @@ class LinearRun:
     """Training records, on which a reduction is checked and process models are fitted."""
     responses: tuple[FrequencyRecord, ...]
     """Measured frequency responses of the problem."""
+    integrating: tuple[int, ...]
+    """Numbers of the outputs that integrate, by the training records."""
     noise: Array
     """Standard deviation (ny,) of the measurement noise: of the changes of the residuals from
     sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
@@ -200,7 +209,7 @@ def linearize(
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
-        tuple(records), problem.responses, noise,
+        tuple(records), problem.responses, integrating(records), noise,
     )  # fmt: skip
 
 

@@ -85,6 +85,28 @@ class LinearModel:
         return self.c @ np.linalg.solve(rest, self.b) + self.d
 
     @property
+    def is_unstable(self) -> bool:
+        """Whether a mode grows, by more than an integrator does."""
+        if not self.sampling_time:
+            return bool((np.real(self.poles) > _INTEGRATOR).any())
+        return bool((np.abs(self.poles) > 1.0 + _INTEGRATOR).any())
+
+    @property
+    def slope_gain(self) -> Array:
+        """Slope (ny, nu) of the outputs in 1/s after a unit step, by the real pole nearest to an
+        integrator."""
+        from scipy.linalg import eig
+
+        if not self.order:
+            return np.zeros_like(self.d)
+        found: Any = eig(self.a, left=True, right=True)
+        poles, left, right = found
+        place = int(np.argmin(np.abs(poles - (1.0 if self.sampling_time else 0.0))))
+        w, v = left[:, place].conj(), right[:, place]
+        residue = np.outer(self.c @ v, w @ self.b) / (w @ v)
+        return np.real(residue) / (self.sampling_time or 1.0)
+
+    @property
     def delay(self) -> Array:
         """Samples (ny, nu) before an input acts on an output; -1 where it never does."""
         found, part = np.full(self.d.shape, -1), self.b

@@ -12,15 +12,9 @@ from typing import Literal
 import numpy as np
 
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
-from asia.data.relations import (
-    ALONE,
-    PAIR,
-    FoundDelay,
-    Repetition,
-    find_delay,
-    find_feedback,
-    find_repetition,
-)
+from asia.data.process import is_constant
+from asia.data.relations import Repetition, find_repetition
+from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.feedback import loop_lines
@@ -38,8 +32,6 @@ from asia.problem.problem import (
 )
 from asia.problem.protocol import ProtocolRule
 
-# Shorter records hold too little for a correlation.
-_SHORTEST = 64
 _HIGHEST_ORDER = 50
 _MISSING_CODE = re.compile(r"-?999+(\.9+)?")
 
@@ -453,40 +445,20 @@ class InputDelay:
 
     given: str
     output: str
-    delay: FoundDelay
+    delay: Delay
 
 
 def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
-    """Every output with every input, where both move; none for short records."""
-    records = _first_samples(problem)
+    """Every output with every input, where both move; none for short or irregular records."""
+    if problem.channels.time_step is not None:
+        return ()
+    found = delays(problem.train)
     return tuple(
-        InputDelay(given.name, output.name, find_delay(records, i, j))
-        for j, output in enumerate(problem.outputs)
-        for i, given in enumerate(problem.inputs)
-        if _both_move(records, i, j)
+        InputDelay(given.name, output.name, delay)
+        for output, row in zip(problem.outputs, found, strict=True)
+        for given, delay in zip(problem.inputs, row, strict=True)
+        if delay is not None
     )
-
-
-def _first_samples(problem: Problem) -> list[Trajectory]:
-    """Whole records up to a number of samples, at least the start of the first; none where a record
-    is too short for a correlation, or not sampled regularly."""
-    irregular = problem.channels.time_step is not None
-    if irregular or min(len(r) for r in problem.train) < _SHORTEST:
-        return []
-    kept: list[Trajectory] = []
-    # With many pairs of signals the beginning of the records has to do.
-    left = max(200_000 // (len(problem.inputs) * len(problem.outputs)), _SHORTEST)
-    for record in problem.train:
-        if left < _SHORTEST:
-            break
-        kept.append(record[: min(len(record), left)])
-        left -= len(record)
-    return kept
-
-
-def _both_move(records: Sequence[Trajectory], channel: int, output: int) -> bool:
-    moving = [np.ptp(r.u[:, channel]) > 0 and np.ptp(r.y[:, output]) > 0 for r in records]
-    return bool(moving) and all(moving)
 
 
 def delay_lines(problem: Problem) -> list[str]:
@@ -497,30 +469,36 @@ def delay_lines(problem: Problem) -> list[str]:
         return []
     lines: list[str] = []
     for output in problem.outputs:
-        lags = [(a.given, a.delay.lag) for a in found if a.output == output.name]
-        text = ", ".join(f"{n} {'not found' if lag is None else lag}" for n, lag in lags)
-        if lags:
-            lines.append(
-                f"delay of output {output.name} in samples: {text} (first lag with a correlation "
-                f"above {ALONE:g} times the 99 % band, or {PAIR:g} times at two lags in a row)"
-            )
+        texts = [f"{a.given} {_delay_text(a.delay)}" for a in found if a.output == output.name]
+        if texts:
+            lines.append(f"delay of output {output.name} in samples: {', '.join(texts)}")
     lines += [
         f"delay 0: output {a.output} responds to input {a.given} in the same sample. If the system "
         "cannot be so fast, a controller computes the input from that output"
         for a in found
         if a.delay.lag == 0
     ]
-    records = _first_samples(problem)
+    tested = [bool(np.isfinite(row).any()) for row in feedback(problem.train)]
+    moving = {a.given for a in found}
     untested = [
         given.name
-        for i, given in enumerate(problem.inputs)
-        if _both_move(records, i, 0) and find_feedback(records, i, 0) is None
+        for given, known in zip(problem.inputs, tested, strict=True)
+        if given.name in moving and not known
     ]
     if untested:
         lines.append(
-            f"feedback: not tested for input {', '.join(untested)}, which no short filter whitens"
+            f"feedback: not tested for input {', '.join(untested)}, which its own past predicts"
         )
     return lines
+
+
+def _delay_text(delay: Delay) -> str:
+    if delay.lag is None:
+        return "no effect found"
+    if delay.interval is None:
+        return f"{delay.lag} (first significant correlation)"
+    low, high = delay.interval
+    return f"{delay.lag}" if low == high else f"{delay.lag} ({low} to {high})"
 
 
 # Missing outputs, feedback, drift, converter steps and outliers of training records.
@@ -540,13 +518,12 @@ def _missing_line(problem: Problem) -> str:
 
 def feedback_pairs(problem: Problem) -> list[tuple[Signal, Signal]]:
     """Inputs that follow earlier values of outputs, where [loop] does not explain them."""
-    records = _first_samples(problem)
+    measured = problem.loop is None or problem.loop.inputs == "measured"
+    if not measured or problem.channels.time_step is not None:
+        return []
     return [
-        (given, output)
-        for i, given in enumerate(problem.inputs)
-        if problem.loop is None or problem.loop.inputs == "measured"
-        for j, output in enumerate(problem.outputs)
-        if _both_move(records, i, j) and find_feedback(records, i, j)
+        (problem.inputs[i], problem.outputs[j])
+        for i, j in np.argwhere(feedback(problem.train) < FALSE_ALARMS).tolist()
     ]
 
 
@@ -569,31 +546,23 @@ def data_doubts(problem: Problem) -> list[Doubt]:
         name, unit = f"output {output.name}", f" {output.unit}".rstrip()
         parts = [r.y[:, j] for r in problem.train]
         values = np.concatenate(parts)
-        if np.ptp(values) > 0:
-            doubts += _drift(problem.train, parts, name, unit)
+        if not is_constant(values):
+            doubts += _drift(problem.train, j, name, unit)
             doubts += _quantization(values, name, unit)
             doubts += _outliers(problem.train, parts, name)
             doubts += _missing_codes(values, name, repeated=True)
     return doubts
 
 
-def _drift(
-    records: Sequence[Trajectory], parts: Sequence[Array], name: str, unit: str
-) -> list[Doubt]:
-    """Describe a linear drift that explains most of the variance of the longest record."""
-    k = int(np.argmax([len(p) for p in parts]))
-    y = parts[k] - parts[k].mean()
-    time = np.arange(len(y)) - (len(y) - 1) / 2
-    total = float(y @ y)
-    if len(y) < _SHORTEST or total == 0:
-        return []
-    slope = float(time @ y / (time @ time))
-    if slope**2 * float(time @ time) <= 0.5 * total:
+def _drift(records: Sequence[Trajectory], output: int, name: str, unit: str) -> list[Doubt]:
+    """Describe a drift of the longest record."""
+    rise = drifts(records)[output]
+    if rise == 0.0:
         return []
     text = (
-        f"{name} {'rises' if slope > 0 else 'falls'} by {abs(slope) * (len(y) - 1):.3g}{unit} over "
-        f"record '{records[k].name}', more than its other variation: the sensor may drift, or the "
-        "record starts far from steady state"
+        f"{name} {'rises' if rise > 0 else 'falls'} by {abs(rise):.3g}{unit} over record "
+        f"'{max(records, key=len).name}', more than its other variation, and no input explains it: "
+        "the sensor may drift, or the record starts far from steady state"
     )
     return [Doubt(text, 0.4, "a longer record that starts at rest")]
 

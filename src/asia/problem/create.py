@@ -23,7 +23,7 @@ from asia.data.intake.conversion import Intake, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
 from asia.data.preprocess import Preprocess
-from asia.data.relations import find_delay
+from asia.data.statistics import delays
 from asia.data.store import PlainFile, key_folder
 from asia.data.trajectory import (
     Trajectory,
@@ -288,8 +288,8 @@ def _prepare(
     delay: dict[str, int] = {}
     if wish.delay == "auto":
         for k, name in enumerate(inputs):
-            lags = [find_delay(records, k, c).lag for c in range(len(outputs))]
-            known = [lag for lag in lags if lag is not None]
+            column = [row[k] for row in delays(records)]
+            known = [d.lag for d in column if d is not None and d.lag is not None]
             # A model without delay responds at the sample after the input's.
             if known and min(known) > 1:
                 delay[name] = min(known) - 1

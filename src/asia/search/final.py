@@ -13,8 +13,8 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia.agents.library.recipe import MODELS, read_recipe
-from asia.agents.library.record_facts import integrating, relation
 from asia.candidate import ParameterEstimates
+from asia.data.statistics import integrating, relation
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
@@ -502,7 +502,7 @@ def refit_winner(
         chosen = choose_model(FinalEvidence.of(best, refitted))
     refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
-        room = StressRoom(evaluator, store, view, integrating(problem_facts(problem)))
+        room = StressRoom(evaluator, store, view, integrating(problem_facts(problem).records))
         without = replace(FinalEvidence.of(best, refitted), stack=None)
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
@@ -539,7 +539,7 @@ def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
     names = dict.fromkeys(given.name for given, _ in feedback_pairs(problem))
     if not names:
         return None
-    found = relation(problem_facts(problem))
+    found = relation(problem_facts(problem).records)
     return Feedback(tuple(names), found.pole if found.unstable else None)
 
 

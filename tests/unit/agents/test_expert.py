@@ -14,10 +14,10 @@ from asia.agents.library.cards import neural_ss
 from asia.agents.library.family import Timing
 from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.record_facts import Switching, noise_of_periods, plateau_share
 from asia.agents.library.registry import families, family
 from asia.agents.library.trial_evidence import overfit
 from asia.data import Trajectory
+from asia.data.statistics import Switching, noise_of_periods, plateau_share
 from asia.problem.physics import Correction
 from asia.problem.plant import Plant, Unknown
 from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
@@ -299,8 +299,8 @@ def test_overfit_and_plateau_are_read_from_the_training_side() -> None:
     assert overfit(one) == 4.0
     y = np.minimum(np.sin(np.arange(400) / 20), 0.5)
     flat = replace(known, records=(Trajectory(y, y, 1.0),))
-    assert plateau_share(flat) > 0.2
-    assert plateau_share(known) < 0.02
+    assert plateau_share(flat.records) > 0.2
+    assert plateau_share(known.records) < 0.02
 
 
 def test_the_cheaper_one_of_two_equal_moves_is_made_first(
@@ -609,7 +609,7 @@ def test_the_noise_between_periods_ends_the_search(over: float, ends: bool) -> N
     u = np.tile(rng.standard_normal(250), 4)
     y = lagged(u, 1) + 0.1 * rng.standard_normal(1000)
     known = facts(u, y)
-    floor = noise_of_periods(known)
+    floor = noise_of_periods(known.records)
     assert floor == pytest.approx(0.1 / y.std(), rel=0.1)
     left = replace(CLEAN, whiteness=0.9)
     tried = climb(known, {}, rest=0.3)[:4]

@@ -5,7 +5,7 @@ import pytest
 
 from asia.data import Signal, Trajectory, data_digest
 from asia.data.preprocess import Preprocess
-from asia.data.relations import find_delay
+from asia.data.statistics import delays
 from asia.errors import UserError
 from asia.ledger.run import Run
 from asia.problem.create import Preparation, init_problem
@@ -124,14 +124,15 @@ def test_wrong_tables_are_refused(made: Path) -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 4, 20])
 def test_delays_are_found(delay: int) -> None:
-    found = find_delay([log(3, 2000, delay), log(4, 1000, delay)], 0, 0)
+    found = delays([log(3, 2000, delay), log(4, 1000, delay)])[0][0]
+    assert found is not None
     assert found.lag == delay + 1
 
 
 def test_no_delay_is_found_where_nothing_answers() -> None:
     rng = np.random.default_rng(0)
     found = [
-        find_delay([Trajectory(rng.normal(size=500), rng.normal(size=500), 1.0)], 0, 0).lag
+        delays([Trajectory(rng.normal(size=500), rng.normal(size=500), 1.0)])[0][0]
         for _ in range(40)
     ]
-    assert found.count(None) >= 38
+    assert sum(one is not None and one.lag is None for one in found) >= 38

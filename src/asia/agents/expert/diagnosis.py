@@ -8,16 +8,10 @@ from statistics import NormalDist
 from asia.agents.library.methods import by_multiple_shooting
 from asia.agents.library.move import Move, Situation, plain_title
 from asia.agents.library.recipe import Arguments, Recipe, read_recipe
-from asia.agents.library.record_facts import (
-    Relation,
-    integrating,
-    noise_of_periods,
-    relation,
-    sign_lost,
-)
-from asia.agents.library.traits import names_places
+from asia.agents.library.traits import names_places, periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
+from asia.data.statistics import Relation, integrating, noise_of_periods, relation
 
 # Strategy while no candidate beats the mean of the output: a likely cause with advice, and moves
 # to other model classes.
@@ -44,7 +38,7 @@ def why_nothing_helps(view: AgentView) -> str:
     """Describe the likely cause in the training records, and the remedy."""
     best = view.best
     lowest = "" if best is None else f" (best V {best.value:.3g} of #{best.number:02d})"
-    facts, found = view.facts, relation(view.facts)
+    facts, found = view.facts, relation(view.facts.records)
     advice = _windows(facts, found)
     if found.unstable:
         loop = (
@@ -68,7 +62,7 @@ def why_nothing_helps(view: AgentView) -> str:
         )
     elif found.delay > _DELAY_TRIED:
         cause = f"the dead time is {found.delay} samples. Models with this delay follow."
-    elif integrating(facts):
+    elif integrating(facts.records):
         cause = (
             "an output drifts with the sum of the inputs, so that small input errors "
             f"accumulate. Models with free integrators follow. {advice}"
@@ -97,7 +91,7 @@ def _windows(facts: Facts, found: Relation) -> str:
 
 def _late_weight(at: Situation) -> float:
     """Near certain: without the delay a model sees only inputs that do not act yet."""
-    late = relation(at.facts).delay
+    late = relation(at.facts.records).delay
     there = at.recipe.number("delay", 0) >= late - 1
     return 0.93 * (at.recipe.has("delay") and late > _DELAY_TRIED and not there)
 
@@ -116,7 +110,7 @@ def _integrator_weight(at: Situation) -> float:
     free = free and not (at.recipe.get("regularised") or at.recipe.get("loop"))
     if not (_stuck(at) and free) or at.facts.horizon is not None:
         return 0.0
-    found = relation(at.facts)
+    found = relation(at.facts.records)
     # A mode that hardly comes back, or less likely any other.
     return 0.85 if found.pole > 0.97 and not found.unstable else 0.3
 
@@ -124,9 +118,9 @@ def _integrator_weight(at: Situation) -> float:
 COURSE_MOVES: tuple[Move, ...] = (
     Move(
         name="inputs that act after {state} samples",
-        state=lambda c: str(relation(c.facts).delay),
+        state=lambda c: str(relation(c.facts.records).delay),
         weight=_late_weight,
-        change=lambda c: c.recipe.configured(delay=relation(c.facts).delay - 1),
+        change=lambda c: c.recipe.configured(delay=relation(c.facts.records).delay - 1),
         hypothesis="The innovations of the outputs correlate with those of the inputs at this "
         "delay, which is longer than a model detects automatically.",
         expected="A far lower V.",
@@ -260,7 +254,7 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
     found = dict(best.diagnoses)
     found["sign"] = sign_lost(view.facts) if "output_map" not in best.source else 0.0
     if coloured(best) and view.facts.horizon is None:
-        found["closed loop"] = 0.5 * relation(view.facts).feedback
+        found["closed loop"] = 0.5 * relation(view.facts.records).feedback
     large = [(k, v) for k, v in found.items() if v >= _LEAST_SHARE and k in ANSWERS]
     return tuple(sorted(large, key=lambda item: -item[1]))
 
@@ -329,7 +323,9 @@ def reason_to_end(view: AgentView) -> str | None:
             lowest, last_gain = trial.value, place
     if best is None or last_gain == len(view.trials):
         return None
-    floor = noise_of_periods(view.facts) if view.facts.metric == "rmse" else None
+    facts = view.facts
+    by_periods = facts.metric == "rmse" and periodic(facts)
+    floor = noise_of_periods(facts.records) if by_periods else None
     if floor is not None and best.value is not None and best.value <= _AT_FLOOR * floor:
         return (
             f"V of #{best.number:02d} is {best.value:.3g}, the variation between the periods of "

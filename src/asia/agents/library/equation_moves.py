@@ -5,7 +5,6 @@ from collections.abc import Callable
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe, Value
-from asia.agents.library.record_facts import Cause, switching
 from asia.agents.library.trial_evidence import (
     biased,
     by_overfit,
@@ -17,6 +16,7 @@ from asia.agents.library.trial_evidence import (
     overfit,
 )
 from asia.agents.view import Facts
+from asia.data.statistics import Cause, switching
 from asia.problem.physics import parse_expression
 
 
@@ -91,14 +91,14 @@ def velocities(at: Situation) -> tuple[str, ...]:
 
 def _switching_weight(at: Situation, setting: str, causes: tuple[Cause, ...]) -> float:
     """Near certain where the records show it."""
-    found = switching(at.facts)
+    found = switching(at.facts.records)
     if not found.found or found.cause not in causes or at.recipe.get(setting):
         return 0.0
     return 0.92 if coloured(at.trial) else 0.6
 
 
 def _turning_input(at: Situation) -> str:
-    return at.facts.inputs[switching(at.facts).signal].name
+    return at.facts.inputs[switching(at.facts.records).signal].name
 
 
 def _terms_weight(at: Situation) -> float:
@@ -183,7 +183,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
         weight=lambda c: (
             0.7
             * bool(c.recipe.get("friction") and not c.recipe.get("presliding"))
-            * (switching(c.facts).cause == "displacement")
+            * (switching(c.facts.records).cause == "displacement")
         ),
         change=lambda c: c.recipe.configured(presliding=True),
         state=lambda c: ", ".join(velocities(c)),

@@ -3,11 +3,11 @@
 from asia.agents.library.family import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.record_facts import integrating
 from asia.agents.library.space import OneOf, Parameter, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured
 from asia.agents.view import Facts
+from asia.data.statistics import integrating
 
 LM = "LevenbergMarquardt"
 LARGE_BATCH = 384
@@ -116,7 +116,7 @@ def has_noise_model(recipe: Recipe) -> bool:
 
 def integrator_setting(facts: Facts) -> Arguments:
     """Return the setting for as many free integrators as outputs show; no setting without them."""
-    found = len(integrating(facts)) if "integrating" in traits(facts) else 0
+    found = len(integrating(facts.records)) if "integrating" in traits(facts) else 0
     return (("integrators", found),) if found else ()
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Literal
 
-from asia.agents.library.record_facts import integrating, resonant
+import numpy as np
+
 from asia.agents.view import Facts
+from asia.data.statistics import integrating, period, resonant
 from asia.problem.symmetry import of_signals
 
 Trait = Literal[
@@ -43,8 +46,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "short": facts.fit_samples <= 2_000,
         "long": facts.fit_samples >= 20_000,
         "several": len(outputs) > 1,
-        "integrating": facts.horizon is None and bool(integrating(facts)),
-        "resonant": facts.horizon is None and resonant(facts),
+        "integrating": facts.horizon is None and bool(integrating(facts.records)),
+        "resonant": facts.horizon is None and resonant(facts.records),
         "symmetric": bool(of_signals(facts.symmetry, inputs, outputs)),
     }
     return frozenset(name for name, holds in found.items() if holds)
@@ -53,3 +56,39 @@ def traits(facts: Facts) -> frozenset[Trait]:
 def names_places(facts: Facts) -> bool:
     """Return whether the problem says where in the equations unknown effects enter."""
     return facts.physics is not None and bool(facts.physics.corrections)
+
+
+def periodic(facts: Facts) -> bool:
+    """Return whether all inputs of all records have one period, and whole records are simulated."""
+    return facts.horizon is None and period(facts.records) is not None
+
+
+_STORAGE = re.compile(
+    r"tanks?|vessels?|reservoirs?|basins?|storages?|levels?|volumes?|overflows?|spills?|fill(s|ed)?"
+)
+_UNSIGNED = re.compile(
+    r"magnitude|absolute (value|speed)|unsigned|rectifie[ds]|(without|no|loses its|lost its) sign"
+)
+
+
+def _described(facts: Facts, pattern: re.Pattern[str]) -> bool:
+    """Return whether description, notes, strategies or names of signals and states match."""
+    states = facts.physics.states if facts.physics else ()
+    names = " ".join((*(s.name for s in (*facts.inputs, *facts.outputs)), *states))
+    text = f"{facts.description} {facts.notes} {facts.strategies} {names}".lower()
+    return re.search(rf"(?<![a-z])({pattern.pattern})(?![a-z])", text) is not None
+
+
+def has_storage(facts: Facts) -> bool:
+    """Return whether the user's words tell of something that fills and can overflow."""
+    return _described(facts, _STORAGE)
+
+
+def sign_lost(facts: Facts) -> float:
+    """Return how likely the outputs lack their sign: 1 where the user's words say so, 0.5 where
+    every output only touches zero, 0 where one is negative."""
+    y = np.concatenate([r.y for r in facts.records])
+    low, high = np.quantile(y, (0.05, 0.95), axis=0)
+    if (y.min(axis=0) < -0.05 * high).any() or (high <= 0).any():
+        return 0.0
+    return 1.0 if _described(facts, _UNSIGNED) else 0.5 * bool((low < 0.05 * high).all())

@@ -19,6 +19,8 @@ from asia.interfaces.cli.output import plain
 
 # Greatest number of inputs for which process models are fitted to records.
 _MOST_INPUTS = 3
+# Fit in percent below which the process model of a step response is withheld.
+_LEAST_FIT = 80.0
 _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
 # Size of a discrete pole below which it holds past samples, within the error of a multiple
 # eigenvalue, and has no time constant.
@@ -286,7 +288,6 @@ def _facts(
     """Everything that is printed of a point, and the matrices."""
     from asia.lowering.linear import (
         continuous,
-        is_integrating,
         largest_gain,
         process_model,
         reduced,
@@ -295,14 +296,26 @@ def _facts(
 
     model, folds = point.model, point.folds
     found: dict[str, Any] = {
-        "at": point.name, "u": model.u0, "y": model.y0, "at_rest": point.rests,
+        "at": point.name, "u": model.u0, "y": model.y0,
+        "at_rest": point.rests and not run.integrating,
         "order": model.order, "sampling_time": model.sampling_time,
         "A": model.a, "B": model.b, "C": model.c, "D": model.d,
-        **_dynamics(model), "delay_samples": model.delay,
+        **_dynamics(model), "delay_samples": _delays(run, model),
         "gain_band": point.gain_band, "mode_bands": point.mode_bands,
         "fold_gains": [one.gain for one in folds],
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
     }  # fmt: skip
+    slopes: list[Any] = [
+        model.slope_gain[i] if i in run.integrating else None for i in range(len(run.outputs))
+    ]
+    unstable = model.is_unstable and not run.integrating
+    found["slope_gain"], found["no_gain"] = slopes, "the model is unstable" if unstable else None
+    found["gain"] = [
+        [None if unstable or slopes[i] is not None else value for value in row]
+        for i, row in enumerate(model.gain.tolist())
+    ]
+    if unstable or run.integrating:
+        found["gain_band"], found["fold_gains"] = None, []
     if reduce is not None:
         if reduce != "auto" and not reduce.isdigit():
             raise UserError(f"--reduce is '{reduce}', expected auto or a number of states")
@@ -323,10 +336,11 @@ def _facts(
         numerators, denominator = model.numerator()
         samples = settling(model)
         steps, t = model.step_response(samples), model.sampling_time * np.arange(samples)
+        steady = not unstable
         found["denominator"], found["numerators"] = denominator, numerators
         found["process_models"] = [
-            [_process(t, steps[:, i, j], process_model, integrator=is_integrating(model))
-             for j in range(len(run.inputs))]
+            [_process(t, steps[:, i, j], process_model, integrator=i in run.integrating)
+             if steady else None for j in range(len(run.inputs))]
             for i in range(len(run.outputs))
         ]  # fmt: skip
     if rate:
@@ -337,6 +351,20 @@ def _facts(
         except UserError as error:
             found["continuous"] = {"none": str(error)}
     return found
+
+
+def _delays(run: LinearRun, model: LinearModel) -> list[list[int]]:
+    """Samples before each input acts on each output, by the training records; those of the model
+    where the records do not tell, and -1 without an effect."""
+    from asia.data.statistics import delays
+
+    return [
+        [
+            int(model.delay[i, j]) if one is None or one.lag is None else one.lag
+            for j, one in enumerate(row)
+        ]
+        for i, row in enumerate(delays(run.records))
+    ]
 
 
 def _dynamics(model: LinearModel) -> dict[str, Any]:
@@ -371,9 +399,14 @@ def _fitted_lines(run: LinearRun, fitted: Sequence[ProcessFit | None]) -> Iterat
         if one is None:
             yield f"process   {out.name}: none (no change, or more than {_MOST_INPUTS} inputs)"
             continue
-        for into, model, values in zip(run.inputs, one.models, one.parameters, strict=True):
+        for into, model, values, reason in zip(
+            run.inputs, one.models, one.parameters, one.withheld, strict=True
+        ):
+            if model is None:
+                yield f"process   {out.name} by {into.name}: none, as {reason}"
+                continue
             yield f"process   {out.name} by {into.name}: {model}, fit {model.fit:.1f} %"
-            rate = "/s" if one.structure.integrator else ""
+            rate = "/s" if model.integrator else ""
             gain = f"{out.unit or '1'}/{into.unit or '1'}{rate}"
             for p in values:
                 unit = gain if p.name == "gain" else p.unit
@@ -385,7 +418,7 @@ def _process(t: Any, y: Any, fit: Callable[..., ProcessModel], *, integrator: bo
         one = fit(t, y, integrator=integrator)
     except UserError:
         return None
-    return {**asdict(one), "text": str(one)}
+    return {**asdict(one), "text": str(one)} if one.fit >= _LEAST_FIT else None
 
 
 def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterator[str]:
@@ -396,7 +429,7 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
         pairs = zip(signals, numbers, strict=True)
         return ", ".join(f"{s.name} {v:.5g} {s.unit}".rstrip() for s, v in pairs)
 
-    rest = "" if point.rests else " (not at rest)"
+    rest = "" if facts["at_rest"] else " (not at rest)"
     yield ""
     yield f"at {point.name}: {values(run.inputs, model.u0)}; {values(run.outputs, model.y0)}{rest}"
     yield f"order     {model.order}, sampling time {step:g} s"
@@ -408,13 +441,19 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
             unit = _gain_unit(out, into)
-            ends = point.gain_band
-            band = "" if ends is None else f" ({ends[0][i, j]:.4g} to {ends[1][i, j]:.4g})"
-            dead = int(model.delay[i, j])
+            dead = int(facts["delay_samples"][i][j])
             late = (
                 "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"
             )
-            yield f"gain      {out.name} by {into.name}: {model.gain[i, j]:.5g}{unit}{band}, {late}"
+            value, ends, kind = facts["gain"][i][j], point.gain_band, "gain      "
+            if facts["slope_gain"][i] is not None:
+                value, ends, kind = facts["slope_gain"][i][j], point.slope_gain_band, "slope     "
+                unit = f" {out.unit or '1'}/{into.unit or '1'}/s"
+            text = f"none, as {facts['no_gain']}"
+            if value is not None:
+                band = "" if ends is None else f" ({ends[0][i, j]:.4g} to {ends[1][i, j]:.4g})"
+                text = f"{value:.5g}{unit}{band}"
+            yield f"{kind}{out.name} by {into.name}: {text}, {late}"
             if "process_models" in facts and facts["process_models"][i][j]:
                 one = facts["process_models"][i][j]
                 yield f"process   {out.name} by {into.name}: {one['text']}, fit {one['fit']:.1f} %"

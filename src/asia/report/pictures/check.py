@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from asia.data.frequency import FrequencyResponse
-from asia.data.relations import ALONE, PAIR
 from asia.data.trajectory import Array
 from asia.problem.check import InputDelay
 from asia.problem.folds import Fold, make_folds
@@ -208,11 +207,8 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
         values = answer.delay.correlation[:lags]
         axes.vlines(np.arange(len(values)), 0.0, values, color=BLUE, lw=1.5)
         axes.axhspan(-answer.delay.band, answer.delay.band, color=INK, alpha=0.15, lw=0.0)
-        for times in (PAIR, ALONE):
-            edges = (-times * answer.delay.band, times * answer.delay.band)
-            axes.hlines(edges, 0, len(values) - 1, color=INK, lw=0.6, ls="--", alpha=0.5)
         lag = answer.delay.lag
-        if lag is not None:
+        if lag is not None and lag < len(values):
             axes.plot([lag], [answer.delay.correlation[lag]], "o", ms=4.0, color=ORANGE)
         quiet_grid(axes)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -221,8 +217,8 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
     for axes, name in zip(grid[0], inputs, strict=True):
         axes.set_title(plain(name, 20))
     figure.supxlabel(
-        f"lag [samples]; grey: 99 % band; dashed: {PAIR:g} and {ALONE:g} times it\n"
-        f"dot: the delay, the first lag above {ALONE:g}, or above {PAIR:g} twice in a row",
+        "lag [samples]; grey: what one of a hundred files exceeds by chance, over all panels; dot: "
+        "the delay",
         fontsize="medium",
     )
     entitle(figure, f"{plain(problem.name, 30)}: correlation of inputs with outputs, whitened")

@@ -7,9 +7,10 @@ import pytest
 
 from asia.agents import Facts
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.registry import family
+from asia.agents.library.traits import periodic
 from asia.data import Trajectory
+from asia.data.statistics import several_levels
 from tests.unit.agents.searches import simulation, trial, view
 
 
@@ -37,13 +38,13 @@ def moves_after_linear(facts: Facts) -> str:
 
 @pytest.mark.parametrize(("levels", "several"), [((1.0,), False), ((1.0, 2.0, 3.0), True)])
 def test_levels_are_seen(levels: tuple[float, ...], several: bool) -> None:
-    assert several_levels(excited(levels, 2)) is several
+    assert several_levels(excited(levels, 2).records) is several
 
 
 def test_one_loud_record_is_no_level() -> None:
     facts = excited((1.0,), 1)
     loud = replace(facts.records[0], u=5.0 * facts.records[0].u)
-    assert not several_levels(replace(facts, records=(*facts.records, loud)))
+    assert not several_levels((*facts.records, loud))
 
 
 def test_periods_are_seen_where_whole_records_are_simulated() -> None:

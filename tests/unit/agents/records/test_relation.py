@@ -1,20 +1,16 @@
 """Effect, delay, feedback and stability against systems where they are known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from asia.agents import Facts
-from asia.agents.library.record_facts import relation
 from asia.data import Array, Trajectory
-from tests.unit.agents.searches import simulation
+from asia.data.statistics import relation
 
 SAMPLES = 1000
 
 
-def facts(u: Array, y: Array) -> Facts:
-    return replace(simulation(physics=False), records=(Trajectory(u, y, 1.0),))
+def records(u: Array, y: Array) -> list[Trajectory]:
+    return [Trajectory(u, y, 1.0)]
 
 
 def lagged(u: Array, delay: int, pole: float = 0.8) -> Array:
@@ -24,7 +20,7 @@ def lagged(u: Array, delay: int, pole: float = 0.8) -> Array:
     return y
 
 
-def closed_loop(pole: float, gain: float, seed: int = 0) -> Facts:
+def closed_loop(pole: float, gain: float, seed: int = 0) -> list[Trajectory]:
     """x[k+1] = pole x + u + a disturbance that is not seen; u = -gain y + a small excitation."""
     rng = np.random.default_rng(seed)
     x, us, ys = 0.0, np.zeros(SAMPLES), np.zeros(SAMPLES)
@@ -32,14 +28,14 @@ def closed_loop(pole: float, gain: float, seed: int = 0) -> Facts:
         ys[k] = x + 0.02 * rng.standard_normal()
         us[k] = -gain * ys[k] + 0.2 * rng.standard_normal()
         x = pole * x + us[k] + 0.5 * rng.standard_normal()
-    return facts(us, ys)
+    return records(us, ys)
 
 
 @pytest.mark.parametrize("delay", [1, 4, 25])
 def test_the_delay_after_which_the_input_acts_is_found(delay: int) -> None:
     rng = np.random.default_rng(delay)
     u = np.repeat(rng.uniform(-1, 1, SAMPLES // 5), 5)
-    found = relation(facts(u, lagged(u, delay) + 0.05 * rng.standard_normal(SAMPLES)))
+    found = relation(records(u, lagged(u, delay) + 0.05 * rng.standard_normal(SAMPLES)))
     assert found.acts
     assert found.delay == delay
     assert found.feedback == 0.0
@@ -49,14 +45,14 @@ def test_the_delay_after_which_the_input_acts_is_found(delay: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_next_to_an_input_is_no_effect_and_no_feedback(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    found = relation(facts(rng.standard_normal(SAMPLES), lagged(rng.standard_normal(SAMPLES), 1)))
+    found = relation(records(rng.standard_normal(SAMPLES), lagged(rng.standard_normal(SAMPLES), 1)))
     assert not found.acts
     assert found.feedback == 0.0
 
 
 def test_an_even_effect_is_an_effect() -> None:
     u = np.random.default_rng(3).standard_normal(SAMPLES)
-    assert relation(facts(u, lagged(u**2, 1))).acts
+    assert relation(records(u, lagged(u**2, 1))).acts
 
 
 @pytest.mark.parametrize(("pole", "unstable"), [(1.05, True), (0.9, False)])
@@ -71,6 +67,8 @@ def test_an_input_without_news_acts_all_the_same() -> None:
     rng = np.random.default_rng(2)
     phases = rng.uniform(0, 2 * np.pi, 20)
     u = sum(np.cos(2 * np.pi * (k + 1) * time + phase) for k, phase in enumerate(phases))
-    found = relation(facts(np.asarray(u), lagged(np.asarray(u), 1) + rng.standard_normal(SAMPLES)))
+    found = relation(
+        records(np.asarray(u), lagged(np.asarray(u), 1) + rng.standard_normal(SAMPLES))
+    )
     assert found.acts
     assert found.feedback == 0.0

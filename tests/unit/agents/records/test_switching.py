@@ -10,8 +10,8 @@ import pytest
 
 from asia.agents import Trial
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.library.record_facts import Cause, switching
 from asia.data import Trajectory
+from asia.data.statistics import Cause, switching
 from tests.unit.agents.searches import recipe_of, simulation, trial, view
 from tests.unit.models.systems.equations import duffing_record
 from tests.unit.models.systems.friction import (
@@ -33,7 +33,7 @@ CASES: dict[str, tuple[Cause, Callable[[], Trajectory]]] = {
 
 
 def of_records(*records: Trajectory):
-    return switching(replace(simulation(physics=False), records=records))
+    return switching(records)
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents.library.record_facts import integrating
 from asia.agents.library.registry import family
 from asia.data import Trajectory
+from asia.data.statistics import integrating
 from asia.errors import UserError
 from asia.models import linear, neural_ss
 from asia.models._least_squares import LevenbergMarquardt
@@ -100,10 +100,10 @@ def test_more_integrators_than_states_are_refused() -> None:
 
 @pytest.mark.slow
 def test_integrators_are_seen_in_records_that_drift_and_in_no_others() -> None:
-    assert integrating(of_records(motor(100))) == (0,)
-    assert integrating(of_records(motor(101, 3000), motor(102, 200))) == (0,)
-    assert integrating(of_records(duffing_record(400, 100, 0.003))) == ()
-    assert integrating(of_records(record(sliding, 2, 100))) == ()
+    assert integrating([motor(100)]) == (0,)
+    assert integrating([motor(101, 3000), motor(102, 200)]) == (0,)
+    assert integrating([duffing_record(400, 100, 0.003)]) == ()
+    assert integrating([record(sliding, 2, 100)]) == ()
 
 
 def test_what_forgets_is_not_offered_and_a_first_model_integrates() -> None:

@@ -4,14 +4,15 @@ from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.record_facts import has_storage, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import coloured, curved, fails_on_top
 from asia.agents.view import Facts
+from asia.data.statistics import plateau_share
 
 
 def _saturates(facts: Facts) -> bool:
-    return plateau_share(facts) > 0.02
+    return plateau_share(facts.records) > 0.02
 
 
 def _start(facts: Facts) -> Recipe:

@@ -11,10 +11,11 @@ from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.record_facts import has_storage, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import biased, coloured, fails_on_top, input_left, overfit
 from asia.agents.view import Facts
+from asia.data.statistics import plateau_share
 
 
 def _start(facts: Facts) -> Recipe:
@@ -81,7 +82,7 @@ def _saturation_weight(at: Situation) -> float:
     full = names_of(at, "saturation")
     if _next_state(at) == full:
         return 0.0
-    evidence = fails_on_top(at.trial) or plateau_share(at.facts) > 0.02
+    evidence = fails_on_top(at.trial) or plateau_share(at.facts.records) > 0.02
     if not full:
         return 0.95 if evidence else 0.6
     return 0.35 if evidence else 0.15

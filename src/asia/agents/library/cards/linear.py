@@ -14,9 +14,10 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.space import OneOf, Space
+from asia.agents.library.traits import periodic
 from asia.agents.view import Facts
+from asia.data.statistics import several_levels
 
 # Share of the error for which another state is taken.
 _FINER = 0.005
@@ -55,7 +56,7 @@ def _level_weight(at: Situation) -> float:
     """Near certain where a fit takes seconds; the gain differs from level to level of most."""
     if at.facts.horizon is not None or at.recipe.get("levels") or _is_special(at.recipe):
         return 0.0
-    if not several_levels(at.facts):
+    if not several_levels(at.facts.records):
         return 0.0
     return 0.92 if _by_lines(at) else 0.5
 
@@ -102,7 +103,7 @@ def _space(facts: Facts) -> Space:
             ),
             options=(OneOf("iterations", (15, 30, 60)),),
         )
-    known = (("periodic", periodic(facts)), ("levels", several_levels(facts)))
+    known = (("periodic", periodic(facts)), ("levels", several_levels(facts.records)))
     switches = [name for name, holds in known if holds and facts.horizon is None]
     return Space(
         config=(

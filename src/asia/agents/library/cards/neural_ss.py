@@ -13,11 +13,11 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
-from asia.agents.library.record_facts import Cause, switching, transport
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, curved, overfit
 from asia.agents.view import Facts
+from asia.data.statistics import Cause, switching, transport
 
 
 def _start(facts: Facts) -> Recipe:
@@ -45,7 +45,7 @@ def _scheduled(facts: Facts) -> bool:
 
 
 def _space(facts: Facts) -> Space:
-    carried = transport(facts)
+    carried = transport(facts.records)
     places: tuple[Parameter, ...] = (
         OneOf("nonlinearity", ("state", "modal", "input", "output", "both", "none")),
         OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
@@ -81,7 +81,7 @@ def _space(facts: Facts) -> Space:
 
 
 def _carried(at: Situation) -> Recipe:
-    found = transport(at.facts)
+    found = transport(at.facts.records)
     assert found is not None
     # It excludes a constant delay and the symmetries of plain inputs.
     recipe = at.recipe.without("symmetry").configured(delay=0, transport=found.transport.pace)
@@ -145,7 +145,7 @@ def _moved_to(at: Situation, place: str) -> Recipe:
 
 def _element_weight(at: Situation, element: str, *causes: Cause) -> float:
     """Near certain where the records show it."""
-    found = switching(at.facts)
+    found = switching(at.facts.records)
     return 0.93 * (found.found and found.cause in causes and not at.recipe.get(element))
 
 
@@ -153,10 +153,10 @@ def _trace_weight(at: Situation, weight: float) -> float:
     """Return the weight for a coloured residual, where the records show only a trace of the effect,
     or where a smooth model overfits its own fold."""
     smooth = at.facts.horizon is None and not _has_element(at)
-    if not smooth or not coloured(at.trial) or switching(at.facts).found:
+    if not smooth or not coloured(at.trial) or switching(at.facts.records).found:
         return 0.0
     least = _TRACE + _BY_CHANCE / at.facts.samples
-    likely = switching(at.facts).share > least or overfit(at.trial) > 4.0
+    likely = switching(at.facts.records).share > least or overfit(at.trial) > 4.0
     return weight if likely else 0.5 * weight
 
 
@@ -265,7 +265,7 @@ CARD = Card(
             name="delays set by an input",
             # Near certain where the records show it.
             weight=lambda c: (
-                0.93 * (not c.recipe.has("transport") and transport(c.facts) is not None)
+                0.93 * (not c.recipe.has("transport") and transport(c.facts.records) is not None)
             ),
             change=_carried,
             hypothesis="The delay grows as one of the inputs decreases: a flow or a speed that "

@@ -4,9 +4,9 @@ from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.record_facts import plateau_share
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.trial_evidence import by_overfit, curved
+from asia.data.statistics import plateau_share
 
 CARD = Card(
     (
@@ -69,7 +69,7 @@ CARD = Card(
         Move(
             name="output kept inside its range",
             weight=lambda c: (
-                (0.7 if plateau_share(c.facts) > 0.02 else 0.35)
+                (0.7 if plateau_share(c.facts.records) > 0.02 else 0.35)
                 * (c.recipe.number("margin", 0.1) > 0)
             ),
             change=lambda c: c.recipe.configured(margin=0.0),

@@ -1,0 +1,934 @@
+"""Transfer functions of lags and a delay, fitted to the records of one output.
+
+y(t) = offset + sum_j K_j (1 + Z_j s) e^(-L_j s) / (s^i_j (1 + T_1j s) ...) u_j(t) + v(t), inputs
+held between samples, v autoregressive noise. Each input has its own lags, zero, delay and
+integrator. Gains, zeros and offsets follow by least squares for given lags and delays, which are
+found by Levenberg-Marquardt steps from a scan of all delays (variable projection: Golub and
+Pereyra, SIAM J. Numer. Anal. 10(2), 1973). Errors are whitened by the noise's own filter, so that
+their curvature gives the intervals (Ljung, System Identification, 2nd ed., chapter 9); where the
+sum of squares is not quadratic within the interval, it is followed to its rise (profile
+likelihood: Seber and Wild, Nonlinear Regression, section 5.4). All signals are normalised by their
+own deviation first, so that no result depends on units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, wraps
+from typing import Any, TypeVar
+
+import numpy as np
+
+from asia.data.trajectory import Array, Mask, Trajectory
+from asia.errors import UserError
+
+T = TypeVar("T")
+
+# Samples that a fit takes from the records, from the first on.
+_MOST_SAMPLES = 6_000
+# Decrease of the Bayesian information criterion that a larger structure must reach.
+_EVIDENCE = 10.0
+# Variance of the error, over that of the output, below which errors are rounding.
+_ROUNDING = 1e-10
+# Orders of the noise's filter; the shortest and longest lag, in samples and in record lengths.
+_NOISE_ORDERS = (0, 1, 2, 4, 8)
+_SHORTEST_LAG, _LONGEST_LAG = 0.05, 10.0
+# Relative distance that equal lags are set apart by.
+_APART = 2e-5
+# Iterations of a fit, and lags that the scan compares.
+_ITERATIONS, _SCANNED = 30, 12
+# A signal whose deviation is below so many roundings of its magnitude is constant.
+_ULPS = 8.0
+
+
+@dataclass(frozen=True)
+class ProcessStructure:
+    """Form of the transfer function of one input."""
+
+    lags: int
+    zero: bool = False
+    integrator: bool = False
+
+
+_LARGER: dict[ProcessStructure, tuple[ProcessStructure, ...]] = {
+    ProcessStructure(1): (ProcessStructure(2), ProcessStructure(2, True)),
+    ProcessStructure(2): (ProcessStructure(2, True), ProcessStructure(3)),
+    ProcessStructure(1, integrator=True): (
+        ProcessStructure(2, integrator=True),
+        ProcessStructure(2, True, True),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Estimate with its standard error and 95 % interval."""
+
+    value: float
+    error: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class InputTransfer:
+    """Transfer function of one input, in physical units and samples."""
+
+    structure: ProcessStructure
+    gain: Interval
+    """Output unit over input unit; with an integrator over samples too."""
+    lags: tuple[Interval, ...]
+    """Time constants in samples, the longest first."""
+    zero: Interval | None
+    """Time constant of the zero in samples."""
+    delay: Interval
+    """Dead time in samples."""
+    first: int
+    """Samples until the output responds; 0 for a direct feedthrough."""
+    acts: bool
+    """Whether the input explains more of the output than chance would."""
+
+
+@dataclass(frozen=True)
+class OutputTransfer:
+    """Transfer functions of all inputs to one output."""
+
+    inputs: tuple[InputTransfer | None, ...]
+    """None for an input that does not move."""
+    offset: float
+    """Output at zero inputs; with an integrator its rate in samples."""
+    at_rest: bool
+    """Whether the records begin at rest."""
+    fit: float
+    """100 (1 - |error| / |output - mean|), in percent."""
+    noise: float
+    """Standard deviation of the error of simulation, in the output's unit."""
+    adequate: bool
+    """Whether the errors are independent of the inputs, up to chance."""
+    errors: tuple[Array, ...]
+    """Measured minus simulated output (T,) of each record; nan where it was not measured."""
+    innovations: tuple[Array, ...]
+    """The same after the filter of the noise, over their deviation."""
+    contributions: tuple[tuple[Array, ...], ...]
+    """Simulated part (T,) of each input, by record."""
+
+
+def is_constant(values: Array) -> bool:
+    """Return whether a signal moves by no more than its rounding."""
+    size = float(np.abs(values).max(initial=0.0))
+    return not values.size or float(np.ptp(values)) <= _ULPS * np.finfo(float).eps * size
+
+
+def fit_transfer(
+    records: Sequence[Trajectory], output: int, structures: Sequence[ProcessStructure] | None = None
+) -> OutputTransfer:
+    """Fit transfer functions to the simulation error of an output.
+
+    Args:
+        records: training records in physical units
+        output: column of the output
+        structures: form for each input; None chooses each by the Bayesian information criterion
+
+    Raises:
+        UserError: for an output that does not change, and records that are too short
+    """
+    given = None if structures is None else tuple(structures)
+    return _fitted(SameRecords(records), output, given)
+
+
+class SameRecords:
+    """Key that is equal for the identical record objects."""
+
+    def __init__(self, records: Sequence[Trajectory]) -> None:
+        self.records = tuple(records)
+
+    def __hash__(self) -> int:
+        return hash(tuple(map(id, self.records)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SameRecords) and (
+            len(self.records) == len(other.records)
+            and all(a is b for a, b in zip(self.records, other.records, strict=True))
+        )
+
+
+def once_for_records(
+    analyse: Callable[[tuple[Trajectory, ...]], T],
+) -> Callable[[Sequence[Trajectory]], T]:
+    """Analyse records once for the same record objects."""
+    analysis = lru_cache(maxsize=8)(lambda same: analyse(same.records))
+
+    @wraps(analyse)
+    def of_records(records: Sequence[Trajectory]) -> T:
+        return analysis(SameRecords(records))
+
+    return of_records
+
+
+@lru_cache(maxsize=32)
+def _fitted(
+    same: SameRecords, output: int, structures: tuple[ProcessStructure, ...] | None
+) -> OutputTransfer:
+    data = _Data(same.records, output)
+    chosen = structures and tuple(structures[j] for j in data.moving)
+    base = chosen or (ProcessStructure(1),) * len(data.moving)
+    count = sum(s.lags + 2 + s.zero for s in base) + 1
+    if data.samples < 4 * count or not data.moving:
+        many = "s" if len(data.moving) != 1 else ""
+        raise UserError(
+            f"process model: {data.samples} samples are too few for {len(data.moving)} "
+            f"moving input{many}"
+        )
+    best = data.start(base)
+    if chosen is None:
+        best = data.grown(best)
+    return data.described(best)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Point of a search."""
+
+    structures: tuple[ProcessStructure, ...]
+    phi: Array
+    """Logarithms of the lags, then the delay in samples, of each input."""
+    at_rest: bool
+    skipped: int
+    """Samples at the start of each record that inputs before it may reach."""
+    noise: Array
+    """Coefficients of the noise's filter, 1 first."""
+    squares: float = math.inf
+    """Sum of squares of the whitened errors."""
+    rows: int = 0
+    weights: int = 0
+    """Number of linear weights."""
+
+    @property
+    def criterion(self) -> float:
+        """Bayesian information criterion."""
+        variance = self.squares / max(self.rows, 1) + _ROUNDING
+        count = len(self.phi) + self.weights
+        return self.rows * math.log(variance) + count * math.log(max(self.rows, 2))
+
+    def slices(self) -> list[slice]:
+        """Places in phi of each input."""
+        ends = np.cumsum([s.lags + 1 for s in self.structures]).tolist()
+        return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+
+class _Data:
+    """Normalised records of one output, and the regressions on them."""
+
+    def __init__(self, records: Sequence[Trajectory], output: int) -> None:
+        kept: list[Trajectory] = []
+        for record in records:
+            left = _MOST_SAMPLES - sum(map(len, kept))
+            if left > 8:
+                kept.append(record[: min(len(record), left)])
+        self.inputs = records[0].u.shape[1]
+        self.whole = [(r.u, r.measured_y[:, output]) for r in records]
+        u = np.concatenate([r.u for r in kept])
+        seen = [r.measured[:, output] for r in kept]
+        y = np.concatenate([r.y[s, output] for r, s in zip(kept, seen, strict=True)])
+        self.samples = len(y)
+        if is_constant(y):
+            raise UserError("process model: the output does not change")
+        self.moving = [j for j in range(self.inputs) if not is_constant(u[:, j])]
+        self.u_mean, self.y_mean = u.mean(axis=0), float(y.mean())
+        self.u_std = np.array([float((v - v.mean()).std()) or 1.0 for v in u.T])
+        self.y_std = float((y - self.y_mean).std())
+        scaled = [(r.u - self.u_mean) / self.u_std for r in kept]
+        self.u = [v[:, self.moving] for v in scaled]
+        self.y = [(r.y[:, output] - self.y_mean) / self.y_std for r in kept]
+        self.seen = seen
+        self.lengths = [len(v) for v in self.u]
+        self.longest = max(self.lengths)
+        self.most_delay = self.longest / 3.0
+        self._columns = lru_cache(maxsize=256)(self._input_columns)
+
+    # Regressors.
+
+    def _input_columns(
+        self, j: int, structure: ProcessStructure, phi: tuple[float, ...]
+    ) -> tuple[Array, ...]:
+        """Outputs (T, 1 or 2) of each record for unit weights of one input."""
+        chain = _Chain(np.exp(np.array(phi[:-1])), structure)
+        parts: list[Array] = []
+        for u in self.u:
+            first, time = u[0, j], np.arange(len(u))
+            moved = chain.outputs(u[:, j] - first, phi[-1])
+            steady = first * (time if structure.integrator else 1.0)
+            rest = [first * structure.integrator] * structure.zero
+            parts.append(np.stack(
+                [m + s for m, s in zip(moved, [steady, *rest], strict=True)], axis=1
+            ))  # fmt: skip
+        return tuple(parts)
+
+    def _decays(self, at: _State, samples: int) -> Array:
+        """Free responses (T, q) of the lags of all inputs."""
+        time = np.arange(samples)
+        lags = np.concatenate([np.exp(at.phi[s][:-1]) for s in at.slices()])
+        return np.exp(-time[:, None] / lags)
+
+    def _design(self, at: _State, *, whiten: bool = True) -> tuple[Array, Array]:
+        """Whitened regressors and outputs of all measured samples."""
+        integrator = any(s.integrator for s in at.structures)
+        forced = [
+            self._columns(j, s, tuple(at.phi[p].tolist()))
+            for j, (s, p) in enumerate(zip(at.structures, at.slices(), strict=True))
+        ]
+        rows: list[Array] = []
+        for r, samples in enumerate(self.lengths):
+            time = np.arange(samples) / self.longest
+            rest = [time] if integrator else [np.ones(samples)]
+            own = [np.ones(samples)] if integrator else []
+            free = np.column_stack([
+                *own, *([] if at.at_rest else self._decays(at, samples).T)
+            ]) if own or not at.at_rest else np.zeros((samples, 0))  # fmt: skip
+            block = np.zeros((samples, free.shape[1] * len(self.lengths)))
+            block[:, r * free.shape[1] : (r + 1) * free.shape[1]] = free
+            rows.append(np.hstack([*(f[r] for f in forced), np.stack(rest, axis=1), block]))
+        noise = at.noise if whiten else np.ones(1)
+        return self._white(rows, at.skipped, noise), self._white(self.y, at.skipped, noise)
+
+    def _white(self, parts: Sequence[Array], skipped: int, noise: Array) -> Array:
+        """Filter each record and keep the rows whose samples were all measured."""
+        from scipy.signal import lfilter
+
+        order, found = len(noise) - 1, list[Array]()
+        for values, seen in zip(parts, self.seen, strict=True):
+            made = (
+                np.asarray(lfilter(noise, [1.0], values, axis=0), np.float64) if order else values
+            )
+            found.append(made[self._kept(seen, skipped, order)])
+        return np.concatenate(found)
+
+    @staticmethod
+    def _kept(seen: Mask, skipped: int, order: int) -> Mask:
+        used = seen & (np.arange(len(seen)) >= skipped)
+        for k in range(order):
+            late = np.zeros_like(used)
+            late[k + 1 :] = (seen & (np.arange(len(seen)) >= skipped))[: len(seen) - k - 1]
+            used = used & late
+        return used
+
+    def _solved(self, at: _State) -> tuple[_State, Array, Array, Array, Array]:
+        """The state with its squares, weights, errors, basis and singular scales."""
+        x, y = self._design(at)
+        scale = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
+        basis, sizes, turn = np.linalg.svd(x / scale, full_matrices=False)
+        good = sizes > 1e-10 * sizes[0]
+        basis = basis[:, good]
+        part = basis.T @ y
+        weights = (turn[good].T @ (part / sizes[good])) / scale
+        errors = y - basis @ part
+        made = replace(at, squares=float(errors @ errors), rows=len(y), weights=x.shape[1])
+        return made, weights, errors, basis, y
+
+    def _slopes(self, at: _State, weights: Array) -> Array:
+        """Derivatives (rows, P) of the simulated output by phi, weights held."""
+        columns: list[Array] = []
+        place = 0
+        for j, (s, p) in enumerate(zip(at.structures, at.slices(), strict=True)):
+            own = weights[place : place + 1 + s.zero]
+            place += 1 + s.zero
+            phi = at.phi[p]
+            for k in range(len(phi)):
+                step = 1e-4 if k < len(phi) - 1 else 1e-3
+                ends = [phi.copy(), phi.copy()]
+                ends[0][k] += step
+                ends[1][k] -= step * (k < len(phi) - 1 or phi[k] >= step)
+                a, b = (self._columns(j, s, tuple(e.tolist())) for e in ends)
+                width = ends[0][k] - ends[1][k]
+                moved = [(one - two) @ own / width for one, two in zip(a, b, strict=True)]
+                columns.append(self._white(moved, at.skipped, at.noise))
+        return np.stack(columns, axis=1)
+
+    # Search.
+
+    def _bounds(self, at: _State) -> tuple[Array, Array]:
+        low = np.concatenate([[*[math.log(_SHORTEST_LAG)] * s.lags, 0.0] for s in at.structures])
+        most = math.log(_LONGEST_LAG * self.longest)
+        high = np.concatenate([[*[most] * s.lags, self.most_delay] for s in at.structures])
+        return low, high
+
+    def improved(
+        self,
+        at: _State,
+        iterations: int = _ITERATIONS,
+        held: int | None = None,
+        least: float = 1e-5,
+    ) -> _State:
+        """Levenberg-Marquardt steps until one gains less than a share, with one coordinate held
+        where it is named."""
+        low, high = self._bounds(at)
+        here, weights, errors, basis, _ = self._solved(replace(at, phi=np.clip(at.phi, low, high)))
+        damping = 1e-3
+        for _ in range(iterations):
+            slopes = self._slopes(here, weights)
+            slopes = slopes - basis @ (basis.T @ slopes)
+            free = np.ones(len(here.phi), dtype=bool)
+            if held is not None:
+                free[held] = False
+            gradient = slopes.T @ errors
+            free &= ~((here.phi <= low) & (gradient < 0)) & ~((here.phi >= high) & (gradient > 0))
+            if not free.any():
+                break
+            part, pull = slopes[:, free], gradient[free]
+            normal = part.T @ part
+            size = np.maximum(np.diagonal(normal), 1e-14 * max(float(normal.max()), 1e-300))
+            better = False
+            for _ in range(8):
+                move = np.zeros(len(here.phi))
+                move[free] = np.linalg.lstsq(normal + damping * np.diag(size), pull, rcond=None)[0]
+                move = np.clip(move, -2.0, 2.0 + 0.2 * self.most_delay)
+                tried = replace(here, phi=np.clip(here.phi + move, low, high))
+                solved = self._solved(tried)
+                if solved[0].squares < here.squares:
+                    gain = 1.0 - solved[0].squares / here.squares
+                    here, weights, errors, basis, _ = solved
+                    damping, better = max(damping / 5.0, 1e-9), gain > least
+                    break
+                damping *= 6.0
+            if not better:
+                break
+        return here
+
+    def _searched(self, starts: Sequence[_State]) -> _State:
+        """Best end of several starts; each delay is moved by whole samples too."""
+        quick = [self.improved(one, 4) for one in starts]
+        here = self.improved(min(quick, key=lambda one: one.squares))
+        places = here.slices()
+        for place in (p.stop - 1 for p in places):
+            for move in (-1.0, 1.0):
+                phi = here.phi.copy()
+                phi[place] += move
+                if phi[place] < 0.0:
+                    continue
+                tried = self.improved(replace(here, phi=phi), 3)
+                if tried.squares < here.squares * (1.0 - 1e-6):
+                    here = self.improved(tried, 12)
+        return here
+
+    def _whitened(self, at: _State) -> _State:
+        """The state with the noise's filter estimated from its errors, then improved."""
+        for _ in range(2):
+            at = self.improved(replace(at, noise=self._noise_of(at)), 12)
+        return at
+
+    def _noise_of(self, at: _State) -> Array:
+        """Coefficients of the autoregressive filter that whitens the errors, by least Bayesian
+        information criterion."""
+        plain = replace(at, noise=np.ones(1))
+        x, y = self._design(plain)
+        own = self._design(at)
+        scale = np.maximum(np.linalg.norm(own[0], axis=0), 1e-300)
+        weights = np.linalg.lstsq(own[0] / scale, own[1], rcond=1e-10)[0] / scale
+        errors, place, parts = y - x @ weights, 0, list[Array]()
+        for seen in self.seen:
+            kept = self._kept(seen, at.skipped, 0)
+            part = np.full(len(seen), np.nan)
+            part[kept] = errors[place : place + int(kept.sum())]
+            place += int(kept.sum())
+            parts.append(part)
+        best: tuple[float, Array] = (math.inf, np.ones(1))
+        most = _NOISE_ORDERS[-1]
+        rows = [np.lib.stride_tricks.sliding_window_view(p, most + 1) for p in parts
+                if len(p) > most]  # fmt: skip
+        lagged = np.concatenate(rows)[:, ::-1] if rows else np.zeros((0, most + 1))
+        lagged = lagged[np.isfinite(lagged).all(axis=1)]
+        if len(lagged) < max(40, self.samples // 2):
+            return best[1]
+        for order in _NOISE_ORDERS:
+            theta = np.linalg.lstsq(lagged[:, 1 : order + 1], lagged[:, 0], rcond=1e-10)[0]
+            left = lagged[:, 0] - lagged[:, 1 : order + 1] @ theta
+            variance = float((left**2).mean()) + 0.01 * _ROUNDING
+            value = len(left) * math.log(variance) + order * math.log(len(left))
+            if value < best[0]:
+                best = value, np.concatenate([[1.0], -theta])
+        return best[1]
+
+    def start(self, structures: tuple[ProcessStructure, ...]) -> _State:
+        """Best fit of these structures, at rest or in motion at the start."""
+        rest = self._from_scan(structures)
+        here = self._whitened(self._searched(rest))
+        states = sum(s.lags for s in structures)
+        if min(self.lengths) > 4 * (states + len(structures)):
+            delays = [float(here.phi[p][-1]) for p in here.slices()]
+            moving = replace(here, at_rest=False, skipped=math.ceil(max(delays)))
+            if moving.skipped < 0.5 * min(self.lengths):
+                # Both are compared on the same rows.
+                same = self._solved(replace(here, skipped=moving.skipped))[0]
+                # The filter of the noise may hide a motion at the start.
+                plain = [replace(one, noise=np.ones(1)) for one in (moving, same)]
+                if self._solved(plain[0])[0].criterion < self._solved(plain[1])[0].criterion:
+                    moving = self._whitened(self._searched(plain[:1]))
+                    if moving.criterion < same.criterion - _EVIDENCE:
+                        here = moving
+        return here
+
+    def _from_scan(self, structures: tuple[ProcessStructure, ...]) -> list[_State]:
+        """Starts from the lag and delay of each input that explain most, one input at a time."""
+        integrator = any(s.integrator for s in structures)
+        shares = np.geomspace(0.4, max(self.longest / 3.0, 2.0), _SCANNED)
+        lags, delays = np.full(len(structures), shares[0]), np.zeros(len(structures))
+        simple = [replace(s, lags=1, zero=False) if s.lags else s for s in structures]
+        parts: list[list[Array] | None] = [None] * len(structures)
+        # The greatest first, then each again beside the others.
+        for turn in range(2 if len(structures) > 1 else 1):
+            left = list(range(len(structures))) if turn == 0 else []
+            order = left or list(range(len(structures)))
+            while order:
+                others = [p for k, p in enumerate(parts) if p is not None and k not in order[:1]]
+                candidates = order if turn == 0 else order[:1]
+                if turn == 1:
+                    others = [p for k, p in enumerate(parts) if p is not None and k != order[0]]
+                found = [
+                    (self._scan(j, simple[j], shares, others, integrator=integrator), j)
+                    for j in candidates
+                ]
+                (_, lag, delay), j = max(found, key=lambda f: f[0][0])
+                lags[j], delays[j] = lag, delay
+                phi = (math.log(lag), float(delay)) if simple[j].lags else (float(delay),)
+                parts[j] = [c[:, 0] for c in self._columns(j, simple[j], phi)]
+                order.remove(j)
+
+        def made(split: float) -> _State:
+            phi: list[float] = []
+            for s, lag, delay in zip(structures, lags, delays, strict=True):
+                if s.lags <= 1 or split == 0.0:
+                    small = [math.log(0.5)] * (s.lags - 1)
+                    phi += [*[math.log(lag)] * min(s.lags, 1), *small, delay]
+                else:
+                    ratios = [1.0, split, 0.5 * split][: s.lags]
+                    phi += [math.log(lag * q) for q in ratios]
+                    phi.append(max(delay - lag * sum(ratios[1:]) * 0.5, 0.0))
+            return _State(structures, np.array(phi), True, 0, np.ones(1))
+
+        most = max(s.lags for s in structures)
+        return [made(0.0)] if most <= 1 else [made(0.0), made(0.3), made(0.8)]
+
+    def _scan(
+        self,
+        j: int,
+        structure: ProcessStructure,
+        shares: Array,
+        others: Sequence[Sequence[Array]],
+        *,
+        integrator: bool,
+    ) -> tuple[float, float, float]:
+        """Explained sum of squares, lag and delay of an input beside fitted ones."""
+        size = 1 << (2 * self.longest - 1).bit_length()
+        most = int(self.most_delay)
+        best = (-1.0, float(shares[0]), 0.0)
+        targets: list[Array] = []
+        bases: list[Array] = []
+        for r, (y, seen) in enumerate(zip(self.y, self.seen, strict=True)):
+            time = np.arange(len(y)) / self.longest
+            x = (
+                np.column_stack(
+                    [np.ones(len(y)), *([time] if integrator else []), *(o[r] for o in others)]
+                )
+                * seen[:, None]
+            )
+            basis = np.linalg.qr(x)[0]
+            target = np.where(seen, y, 0.0)
+            targets.append(target - basis @ (basis.T @ target))
+            bases.append(basis)
+        for share in shares if structure.lags else shares[:1]:
+            phi = (math.log(share), 0.0) if structure.lags else (0.0,)
+            columns = self._columns(j, structure, phi)
+            product, energy = np.zeros(most + 1), np.zeros(most + 1)
+            for r, (target, basis) in enumerate(zip(targets, bases, strict=True)):
+                column = columns[r][:, 0] - columns[r][0, 0]
+                spectrum = np.fft.rfft(column, size).conj()
+                product += np.fft.irfft(np.fft.rfft(target, size) * spectrum, size)[: most + 1]
+                count = min(most + 1, len(column))
+                kept = np.cumsum(column**2)[::-1]
+                energy[:count] += kept[:count]
+                shared = np.fft.irfft(
+                    np.fft.rfft(basis, size, axis=0) * spectrum[:, None], size, axis=0
+                )[: most + 1]
+                energy -= (shared**2).sum(axis=1)
+            whole = float(max(energy.max(), 1e-300))
+            explained = np.where(energy > 1e-6 * whole, product**2 / np.maximum(energy, 1e-300), 0)
+            place = int(np.argmax(explained))
+            if explained[place] > best[0]:
+                best = float(explained[place]), float(share), float(place)
+        return best
+
+    def grown(self, best: _State) -> _State:
+        """Take larger structures for single inputs while the evidence asks for them."""
+        best = self._integrated(best)
+        refused: set[tuple[int, ProcessStructure]] = set()
+        progress = True
+        while progress:
+            progress = False
+            acting = self._acting(best)
+            for j in range(len(best.structures)):
+                for larger in _LARGER.get(best.structures[j], ()):
+                    if (j, larger) in refused or not acting[j]:
+                        continue
+                    tried = self._extended(best, j, larger)
+                    refused.add((j, larger))
+                    if tried.criterion < best.criterion - _EVIDENCE and self._resolved(tried, j):
+                        best, progress = tried, True
+                        break
+        return best
+
+    def _integrated(self, at: _State) -> _State:
+        """Put an integrator in place of lags longer than half the longest record."""
+        lags = [float(np.exp(at.phi[p][0])) for p in at.slices()]
+        slow = [lag > 0.5 * self.longest for lag in lags]
+        if not any(slow):
+            return at
+        structures = tuple(
+            replace(s, integrator=True) if long else s
+            for s, long in zip(at.structures, slow, strict=True)
+        )
+        tried = self.start(structures)
+        rows = self._solved(replace(at, noise=tried.noise, skipped=tried.skipped))[0]
+        return tried if tried.criterion < rows.criterion + _EVIDENCE else at
+
+    def _extended(self, at: _State, j: int, larger: ProcessStructure) -> _State:
+        structures = tuple(larger if k == j else s for k, s in enumerate(at.structures))
+        places = at.slices()
+        own = at.phi[places[j]]
+        lags, delay = own[:-1], float(own[-1])
+        starts: list[Array] = []
+        extra = larger.lags - len(lags)
+        if extra == 0:
+            starts = [own]
+        else:
+            slowest = float(np.exp(lags.max()))
+            for ratio in (0.0, 0.5):
+                added = max(ratio * slowest, 0.5)
+                kept = lags if ratio < 0.5 else np.where(lags == lags.max(), lags - 0.3, lags)
+                starts.append(np.array(
+                    [*kept, *[math.log(added)] * extra, max(delay - 0.6 * ratio * slowest, 0.0)]
+                ))  # fmt: skip
+        made = [
+            np.concatenate([s if k == j else at.phi[p] for k, p in enumerate(places)])
+            for s in starts
+        ]
+        quick = [self.improved(replace(at, structures=structures, phi=p), 5) for p in made]
+        found = self.improved(min(quick, key=lambda one: one.squares))
+        return self.improved(replace(found, noise=self._noise_of(found)), 12)
+
+    def _resolved(self, at: _State, j: int) -> bool:
+        """Whether the lags of an input are apart from their bounds and from its zero."""
+        phi = at.phi[at.slices()[j]]
+        lags = np.exp(phi[:-1])
+        if lags.min() < 2.0 * _SHORTEST_LAG or lags.max() > 0.5 * _LONGEST_LAG * self.longest:
+            return False
+        if not at.structures[j].zero:
+            return True
+        weights = self._solved(at)[1]
+        place = sum(1 + s.zero for s in at.structures[:j])
+        zero = weights[place + 1] / weights[place] if weights[place] else math.inf
+        return bool((np.abs(zero - lags) > 0.05 * lags).all())
+
+    # Description.
+
+    def described(self, at: _State) -> OutputTransfer:
+        """Parameters in physical units with their intervals."""
+        from scipy.special import stdtrit
+
+        at = self.improved(at, least=1e-12)
+        solved, weights, errors, _, _ = self._solved(at)
+        slopes = self._slopes(solved, weights)
+        x = self._design(at)[0]
+        jacobian = np.hstack([slopes, x])
+        scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        freedom = max(len(errors) - jacobian.shape[1], 1)
+        variance = max(float(errors @ errors), 1e-24 * len(errors)) / freedom
+        normal = (jacobian / scale).T @ (jacobian / scale)
+        covariance = variance * np.linalg.pinv(normal, rcond=1e-13) / np.outer(scale, scale)
+        factor = float(stdtrit(freedom, 0.975))
+        low, high = self._bounds(at)
+        ends = [
+            self._interval(solved, covariance, k, factor, variance, (low[k], high[k]))
+            for k in range(len(at.phi))
+        ]
+        size, place = len(at.phi), 0
+        found: list[InputTransfer | None] = [None] * self.inputs
+        parts, acting = self._parts(at, weights), self._acting(at)
+        adequate = True
+        for j, (s, p) in enumerate(zip(at.structures, at.slices(), strict=True)):
+            unit = self.y_std / self.u_std[self.moving[j]]
+            k = size + place
+            gain, error = float(weights[place]), float(np.sqrt(max(covariance[k, k], 0.0)))
+            zero = None
+            if s.zero:
+                value = float(weights[place + 1]) / gain
+                slope = np.zeros(len(covariance))
+                slope[k], slope[k + 1] = -value / gain, 1.0 / gain
+                wide = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+                zero = Interval(value, wide, value - factor * wide, value + factor * wide)
+            lags = [
+                Interval(
+                    float(np.exp(at.phi[i])),
+                    float(np.exp(at.phi[i]) * np.sqrt(max(covariance[i, i], 0.0))),
+                    *(float(v) for v in np.exp(ends[i])),
+                )
+                for i in range(p.start, p.stop - 1)
+            ]
+            delay = Interval(
+                float(at.phi[p.stop - 1]),
+                float(np.sqrt(max(covariance[p.stop - 1, p.stop - 1], 0.0))),
+                *ends[p.stop - 1],
+            )
+            first, fits = self._first(at, j, delay, weights, variance)
+            adequate = adequate and fits
+            found[self.moving[j]] = InputTransfer(
+                s,
+                Interval(gain * unit, error * abs(unit), *sorted(
+                    ((gain - factor * error) * unit, (gain + factor * error) * unit))),
+                tuple(sorted(lags, key=lambda one: -one.value)),
+                zero, delay, first, acting[j],
+            )  # fmt: skip
+            place += 1 + s.zero
+        return self._result(at, found, weights, place, parts, adequate=adequate)
+
+    def _result(
+        self,
+        at: _State,
+        found: Sequence[InputTransfer | None],
+        weights: Array,
+        place: int,
+        parts: Sequence[Sequence[Array]],
+        *,
+        adequate: bool,
+    ) -> OutputTransfer:
+        integrator = any(s.integrator for s in at.structures)
+        plain = self._design(replace(at, skipped=0, noise=np.ones(1)))[0] @ weights
+        errors: list[Array] = []
+        innovations: list[Array] = []
+        start = 0
+        from scipy.signal import lfilter
+
+        for y, seen in zip(self.y, self.seen, strict=True):
+            simulated = np.full(len(y), np.nan)
+            simulated[seen] = plain[start : start + int(seen.sum())]
+            start += int(seen.sum())
+            errors.append(np.where(seen, y - simulated, np.nan))
+            white: Any = lfilter(at.noise, [1.0], np.where(seen, errors[-1], 0.0))
+            white = np.where(self._kept(seen, at.skipped, len(at.noise) - 1), white, np.nan)
+            innovations.append(white)
+        used = np.concatenate(
+            [np.where(np.arange(len(e)) >= at.skipped, e, np.nan) for e in errors]
+        )
+        spread = float(np.concatenate([y[s] for y, s in zip(self.y, self.seen, strict=True)]).std())
+        size = float(np.sqrt(np.nanmean(used**2)))
+        deviation = float(np.nanstd(np.concatenate(innovations))) or 1.0
+        gains = np.array([0.0 if one is None else one.gain.value for one in found])
+        rest = float(weights[place])
+        if integrator:
+            offset = rest / self.longest * self.y_std - float(gains @ self.u_mean)
+        else:
+            offset = self.y_mean + self.y_std * rest - float(gains @ self.u_mean)
+        return OutputTransfer(
+            tuple(found), offset, at.at_rest, 100.0 * (1.0 - size / max(spread, 1e-300)),
+            size * self.y_std, adequate,
+            tuple(e * self.y_std for e in errors), tuple(e / deviation for e in innovations),
+            tuple(tuple(p * self.y_std for p in part) for part in parts),
+        )  # fmt: skip
+
+    def _parts(self, at: _State, weights: Array) -> list[list[Array]]:
+        """Simulated part of each moving input, by record."""
+        found: list[list[Array]] = []
+        place = 0
+        for j, (s, p) in enumerate(zip(at.structures, at.slices(), strict=True)):
+            columns = self._columns(j, s, tuple(at.phi[p].tolist()))
+            found.append([c @ weights[place : place + 1 + s.zero] for c in columns])
+            place += 1 + s.zero
+        return found
+
+    def _acting(self, at: _State) -> list[bool]:
+        """Whether the criterion asks for each input, the others fitted anew in linear steps."""
+        at, weights, _, _, y = self._solved(at)
+        slopes, x = self._slopes(at, weights), self._design(at)[0]
+        found: list[bool] = []
+        start = 0
+        for structure, place in zip(at.structures, at.slices(), strict=True):
+            own = 1 + structure.zero
+            others = np.hstack([
+                np.delete(x, range(start, start + own), axis=1),
+                np.delete(slopes, range(place.start, place.stop), axis=1),
+            ])  # fmt: skip
+            start += own
+            basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
+            left = y - basis @ (basis.T @ y)
+            ratio = (float(left @ left) / len(y) + _ROUNDING) / (at.squares / len(y) + _ROUNDING)
+            count = own + place.stop - place.start
+            found.append(len(y) * math.log(ratio) > count * math.log(len(y)) + _EVIDENCE)
+        return found
+
+    def _interval(
+        self,
+        at: _State,
+        covariance: Array,
+        k: int,
+        factor: float,
+        variance: float,
+        bounds: tuple[float, float],
+    ) -> tuple[float, float]:
+        """95 % interval of a coordinate: by the curvature where the sum of squares rises as it
+        says, else where the profile rises by as much."""
+        error = float(np.sqrt(max(covariance[k, k], 0.0)))
+        ends: list[float] = []
+        size = len(at.phi)
+        rise = factor**2 * variance
+        for sign, bound in ((-1.0, bounds[0]), (1.0, bounds[1])):
+            plain = at.phi[k] + sign * factor * error
+            if error > 0 and (plain - bound) * sign <= 0:
+                move = covariance[:size, k] / covariance[k, k] * sign * factor * error
+                low, high = self._bounds(at)
+                phi = at.phi + move
+                if ((phi >= low - 1e-9) & (phi <= high + 1e-9)).all():
+                    there = self._solved(replace(at, phi=np.clip(phi, low, high)))[0]
+                    ratio = (there.squares - at.squares) / rise
+                    if 0.6 < ratio < 1.7:
+                        ends.append(float(plain))
+                        continue
+            ends.append(self._profile(at, k, sign, bound, rise, factor * error))
+        return ends[0], ends[1]
+
+    def _profile(
+        self, at: _State, k: int, sign: float, bound: float, rise: float, step: float
+    ) -> float:
+        """Where the least sum of squares over all others rises enough; the bound without."""
+        step = min(max(step, 1e-4), abs(bound - at.phi[k]))
+        inside, outside, here = float(at.phi[k]), None, at
+        for _ in range(7):
+            value = inside + sign * step
+            if (value - bound) * sign >= 0:
+                value = bound
+            phi = here.phi.copy()
+            phi[k] = value
+            tried = self.improved(replace(here, phi=phi), 4, held=k)
+            if tried.squares - at.squares > rise:
+                outside = value
+                break
+            if value == bound:
+                return bound
+            inside, here, step = value, tried, 2.0 * step
+        if outside is None:
+            return bound
+        for _ in range(5):
+            value = 0.5 * (inside + outside)
+            phi = here.phi.copy()
+            phi[k] = value
+            tried = self.improved(replace(here, phi=phi), 4, held=k)
+            if tried.squares - at.squares > rise:
+                outside = value
+            else:
+                inside, here = value, tried
+        return 0.5 * (inside + outside)
+
+    def _first(
+        self, at: _State, j: int, delay: Interval, weights: Array, variance: float
+    ) -> tuple[int, bool]:
+        """Samples until the output responds, and whether free leading coefficients agree with the
+        transfer function.
+
+        The coefficients around the delay are estimated freely beside the tail of the transfer
+        function: one before it that exceeds its error comes first, and one of the transfer function
+        that the free estimate contradicts does not count.
+        """
+        structure, place = at.structures[j], at.slices()[j]
+        late = delay.value + min(2.0 * delay.error, 0.5)
+        if structure.lags == 0 and not structure.integrator:
+            return round(delay.value), True
+        first = math.floor(late + 1e-9) + 1
+        window = list(range(max(first - 3, 0), first + 3))
+        start = sum(1 + s.zero for s in at.structures[:j])
+        own = weights[start : start + 1 + structure.zero]
+        impulse = (
+            _Chain(np.exp(at.phi[place][:-1]), structure).impulse(
+                float(at.phi[place][-1]), window[-1] + 2
+            )
+            @ own
+        )
+        x, y = self._design(at)
+        lagged = [
+            [np.concatenate([np.zeros(k), u[: len(u) - k, j] - u[0, j]])[: len(u)] for u in self.u]
+            for k in window
+        ]
+        free = np.stack([self._white(c, at.skipped, at.noise) for c in lagged], axis=1)
+        head = free @ impulse[window]
+        model = x[:, start : start + 1 + structure.zero] @ own - head
+        others = np.delete(x, range(start, start + 1 + structure.zero), axis=1)
+        matrix = np.column_stack([free, model, others])
+        scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+        inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
+        estimate = (inverse @ ((matrix / scale).T @ y)) / scale
+        left = y - matrix @ estimate
+        noise = max(float(left @ left) / max(len(y) - len(estimate), 1), 1e-24)
+        error = np.sqrt(np.maximum(noise * np.diagonal(inverse), 0.0)) / scale
+        fits = True
+        for i, k in enumerate(window):
+            value, wide = estimate[i], max(error[i], 1e-300)
+            if k < first:
+                if abs(value) > 4.0 * wide and abs(value) > 0.02 * float(np.abs(impulse).max()):
+                    return k, False
+                continue
+            apart, size = abs(value - impulse[k]) / wide, abs(value) / wide
+            fits = fits and apart < 4.0
+            if apart**2 - size**2 < 4.0:
+                return k, fits
+        return first, fits
+
+
+class _Chain:
+    """Outputs of lags, and an integrator, for held inputs. Time is in samples."""
+
+    def __init__(self, lags: Array, structure: ProcessStructure) -> None:
+        # Equal lags are set apart: partial fractions need it, and the effect is of second order.
+        apart = np.sort(lags)
+        for k in range(1, len(apart)):
+            least = apart[k - 1] * (1.0 + _APART)
+            if apart[k] < least:
+                middle = 0.5 * (apart[k] + apart[k - 1])
+                apart[k - 1], apart[k] = middle * (1.0 - _APART), middle * (1.0 + _APART)
+        self.lags, self.structure = apart, structure
+        self.shares = np.array(
+            [np.prod([a / (a - b) for b in apart if b is not a and b != a]) for a in apart]
+        )
+        self.denominator = np.ones(1)
+        for pole in [*np.exp(-1.0 / apart), *[1.0] * structure.integrator]:
+            self.denominator = np.convolve(self.denominator, [1.0, -pole])
+
+    def step(self, time: Array) -> list[Array]:
+        """Step response at these times, and its derivative where there is a zero."""
+        later = np.maximum(time, 0.0)
+        decays = np.exp(-later[:, None] / self.lags) * self.shares
+        if self.structure.integrator:
+            rise, slope = later - self.lags.sum() + decays @ self.lags, 1.0 - decays.sum(axis=1)
+        else:
+            rise, slope = 1.0 - decays.sum(axis=1), decays @ (1.0 / self.lags)
+        # Without lags the output moves with the input.
+        still = time < 0.0 if not len(self.lags) else time <= 0.0
+        found = [rise, slope] if self.structure.zero else [rise]
+        return [np.where(still, 0.0, one) for one in found]
+
+    def impulse(self, delay: float, samples: int) -> Array:
+        """Impulse response (samples, 1 or 2) of held inputs."""
+        late = float(round(delay)) if not len(self.lags) else delay
+        steps = self.step(np.arange(-1.0, samples) - late)
+        return np.stack([np.diff(one) for one in steps], axis=1)
+
+    def outputs(self, u: Array, delay: float) -> list[Array]:
+        """Outputs (T,), one a row of C, from rest."""
+        from scipy.signal import lfilter
+
+        whole = round(delay) if not len(self.lags) else int(delay)
+        order = len(self.denominator)
+        late = np.concatenate([np.zeros(whole), u])[: len(u)]
+        made: list[Array] = []
+        for response in self.impulse(delay - whole, order + 2).T:
+            numerator = np.convolve(self.denominator, response)[: order + 1]
+            made.append(np.asarray(lfilter(numerator, self.denominator, late), np.float64))
+        return made
