@@ -581,7 +581,8 @@ class _Data:
     def _integrated(self, at: _State) -> _State:
         """Put an integrator in place of lags longer than half the longest record."""
         lags = [float(np.exp(at.phi[p][0])) for p in at.slices()]
-        slow = [lag > 0.5 * self.longest for lag in lags]
+        acting = self._acting(at)
+        slow = [lag > 0.5 * self.longest and a for lag, a in zip(lags, acting, strict=True)]
         if not any(slow):
             return at
         structures = tuple(
@@ -876,7 +877,7 @@ class _Data:
                     return k, False
                 continue
             apart, size = abs(value - impulse[k]) / wide, abs(value) / wide
-            fits = fits and apart < 4.0
+            fits = fits and bool(apart < 4.0)
             if apart**2 - size**2 < 4.0:
                 return k, fits
         return first, fits
