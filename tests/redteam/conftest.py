@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.assurance.redteam.attacks import source as source_of
-from asia.assurance.redteam.evidence import said_steps
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.judge.sandbox.availability import open_worker, why_not
 from asia.judge.sandbox.types import Isolation, Layer, Limits
+from tests.redteam.attacks import source as source_of
+from tests.redteam.evidence import said_steps
 
 REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
 LEVELS = {

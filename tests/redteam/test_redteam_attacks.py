@@ -6,9 +6,9 @@ repeated.
 
 import pytest
 
-from asia.assurance.redteam.attacks.scores import STEAL
-from asia.assurance.redteam.attacks.walls import _DAEMON
 from asia.errors import CandidateError, Reason
+from tests.redteam.attacks.scores import STEAL
+from tests.redteam.attacks.walls import _DAEMON
 
 from .conftest import candidate
 

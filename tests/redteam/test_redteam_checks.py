@@ -6,15 +6,15 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from asia.assurance.redteam.arena import attack_candidate
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.problem import Principle
-from asia.assurance.redteam.suite import unchecked_table, without_checks
-from asia.assurance.redteam.types import AttackVerdict, CandidateAttack
 from asia.errors import UserError
 from asia.interfaces.cli import app
 from asia.judge.sandbox.availability import why_not
 from asia.judge.sandbox.types import Isolation
+from tests.redteam.arena import attack_candidate
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.problem import Principle
+from tests.redteam.suite import unchecked_table, without_checks
+from tests.redteam.types import AttackVerdict, CandidateAttack
 
 from .conftest import page_tables, tables
 
@@ -105,7 +105,7 @@ def test_a_layer_that_cannot_be_left_out_is_refused(words, said):
 
 @needs_level
 def test_the_command_leaves_out_one_check(monkeypatch):
-    from asia.assurance.redteam import suite
+    from tests.redteam import suite
 
     asked: list[tuple[str, ...]] = []
     monkeypatch.setattr(

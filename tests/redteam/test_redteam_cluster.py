@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.suite import RedTeamPlan, run_suite
-from asia.assurance.redteam.types import CandidateAttack
 from asia.errors import UserError
 from asia.interfaces.cli import app, spread
 from asia.judge.evaluation.machines import survey_machines
 from asia.judge.sandbox.availability import fitting_levels, why_not
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.suite import RedTeamPlan, run_suite
+from tests.redteam.types import CandidateAttack
 from tests.unit.judge.executor.cluster import two_workers
 
 LEVELS = [x.isolation for x in fitting_levels() if x.confined and why_not(x.isolation) is None]

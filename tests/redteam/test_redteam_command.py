@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.outside.without_isolation import OFF
-from asia.assurance.redteam.types import AttackVerdict, Finding
 from asia.interfaces.cli import app
 from asia.judge.sandbox.availability import why_not
 from asia.judge.sandbox.types import Isolation
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.outside.without_isolation import OFF
+from tests.redteam.types import AttackVerdict, Finding
 
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
 ONE_LEVEL = WORKING[0] if WORKING else None
@@ -41,7 +41,7 @@ def test_the_command_prints_a_table_and_a_verdict():
 
 @needs_level
 def test_the_command_fails_when_something_gets_through(monkeypatch):
-    from asia.assurance.redteam import suite as _suite
+    from tests.redteam import suite as _suite
 
     finding = Finding(2, str(ONE_LEVEL), AttackVerdict.THROUGH, (), "done")
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: finding)
@@ -54,8 +54,8 @@ def test_the_command_fails_when_something_gets_through(monkeypatch):
 
 @needs_level
 def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
-    from asia.assurance.redteam import suite as _suite
-    from asia.assurance.redteam.outside import outer_sandbox
+    from tests.redteam import suite as _suite
+    from tests.redteam.outside import outer_sandbox
 
     blocked = Finding(2, str(ONE_LEVEL), AttackVerdict.BLOCKED, ("landlock",), "")
     clumsy = Finding(2, OFF, AttackVerdict.BLOCKED, ("parent",), "no score")

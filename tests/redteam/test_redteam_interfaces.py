@@ -14,10 +14,6 @@ import pytest
 from mcp import Client
 
 import asia
-from asia.assurance.redteam.attacks.source import HONEST, fill_in
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.problem import SmallProblem, small_problem
-from asia.assurance.redteam.types import CandidateAttack
 from asia.data.trajectory import Trajectory
 from asia.errors import Reason
 from asia.interfaces.mcp import open_search
@@ -25,6 +21,10 @@ from asia.interfaces.mcp.server import make_server
 from asia.interfaces.workspace.process import SearchRequest
 from asia.judge.sandbox.availability import fitting_levels, why_not
 from asia.ledger.run import open_run
+from tests.redteam.attacks.source import HONEST, fill_in
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.problem import SmallProblem, small_problem
+from tests.redteam.types import CandidateAttack
 from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.interfaces.mcp.conftest import Agent
 from tests.unit.interfaces.workspace.desks import end_searches

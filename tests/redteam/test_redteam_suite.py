@@ -12,25 +12,29 @@ from pathlib import Path
 import pytest
 
 from asia.agents.library.family import Family
-from asia.assurance.redteam.arena import Interruption, attack_candidate
-from asia.assurance.redteam.attacks.source import candidate
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.evidence import (
+from asia.errors import Reason, SandboxError
+from asia.judge.sandbox.availability import why_not
+from asia.judge.sandbox.layers.landlock import abi
+from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.arena import Interruption, attack_candidate
+from tests.redteam.attacks.source import candidate
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.evidence import (
     Traces,
     a_step_succeeded,
     conclude,
     scores_better,
     targets,
 )
-from asia.assurance.redteam.honest import HonestProblem, small_problems, try_honest
-from asia.assurance.redteam.outside.outer_sandbox import (
+from tests.redteam.honest import HonestProblem, small_problems, try_honest
+from tests.redteam.outside.outer_sandbox import (
     inside,
     read_finding,
     why_no_outer,
     write_finding,
 )
-from asia.assurance.redteam.outside.without_isolation import CONTROL, OFF
-from asia.assurance.redteam.suite import (
+from tests.redteam.outside.without_isolation import CONTROL, OFF
+from tests.redteam.suite import (
     RedTeamPlan,
     RedTeamReport,
     honest_plan,
@@ -39,7 +43,7 @@ from asia.assurance.redteam.suite import (
     run_suite,
     summary,
 )
-from asia.assurance.redteam.types import (
+from tests.redteam.types import (
     ANY_LEVEL,
     Attack,
     AttackVerdict,
@@ -49,10 +53,6 @@ from asia.assurance.redteam.types import (
     HonestFinding,
     Observed,
 )
-from asia.errors import Reason, SandboxError
-from asia.judge.sandbox.availability import why_not
-from asia.judge.sandbox.layers.landlock import abi
-from asia.judge.sandbox.types import Isolation, Layer
 
 from .conftest import BY_CHANCE, page_tables, tables
 
@@ -229,7 +229,7 @@ if os.fork() == 0:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_an_unmarked_process_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
-    from asia.assurance.redteam import evidence as module
+    from tests.redteam import evidence as module
 
     monkeypatch.setattr(module, "_PATIENCE_SECONDS", 0.0)
     traces = Traces("rt", 1, str(tmp_path))
@@ -291,7 +291,7 @@ def test_a_neighbour_is_seen_to_be_hurt():
 
 @needs_level
 def test_an_honest_candidate_is_not_flagged_and_one_that_remembers_is(honest, monkeypatch):
-    from asia.assurance.redteam import honest as _honest
+    from tests.redteam import honest as _honest
 
     assert (honest.flagged, honest.failure, honest.words) == (False, None, "")
     tanks, _ = small_problems()
@@ -308,7 +308,7 @@ def test_an_honest_candidate_is_not_flagged_and_one_that_remembers_is(honest, mo
 @needs_level
 def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
     """A failing fit on the small problems is reported for the problems with limits of their own."""
-    from asia.assurance.redteam import honest as _honest
+    from tests.redteam import honest as _honest
 
     tanks, _ = small_problems()
     late = replace(tanks, seconds=0.2)

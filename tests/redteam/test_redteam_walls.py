@@ -6,9 +6,9 @@ import secrets
 
 import pytest
 
-from asia.assurance.redteam.attacks.walls import _DAEMON
 from asia.errors import CandidateError, Reason
 from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.attacks.walls import _DAEMON
 
 from .conftest import LEVELS, arena_at, candidate
 

@@ -8,11 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from asia.assurance.redteam.problem import Check, ProblemName
 from asia.errors import Reason
+from tests.redteam.problem import Check, ProblemName
 
 if TYPE_CHECKING:
-    from asia.assurance.redteam.attacks.searches import Scene
+    from tests.redteam.attacks.searches import Scene
 
 
 class Barrier(StrEnum):
@@ -33,8 +33,6 @@ class Barrier(StrEnum):
     """The process with limits that reads sources before the search does."""
     LINT = "lint"
     METAMORPHIC = "metamorphic check"
-    DESCRIPTION = "description length"
-    """Literals of a new best against the information that it gained."""
     FEEDBACK = "feedback"
     LEDGER = "ledger"
     PROBLEM = "problem check"

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from asia.agents.view import AgentView, Proposal
-from asia.assurance.redteam.problem import small_problem
-from asia.assurance.redteam.types import Barrier, SearchAttack, SearchAttackResult
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.interfaces.workspace.workspace import Workspace
@@ -27,6 +25,8 @@ from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
 from asia.search.scores import ScoreCheck
+from tests.redteam.problem import small_problem
+from tests.redteam.types import Barrier, SearchAttack, SearchAttackResult
 
 LUCKY = """
 import os

@@ -18,8 +18,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from asia.assurance.redteam.attacks.source import STEPS
-from asia.assurance.redteam.types import (
+from asia.errors import Reason, SandboxError
+from asia.judge.sandbox.types import Layer
+from tests.redteam.attacks.source import STEPS
+from tests.redteam.types import (
     AttackVerdict,
     Barrier,
     CandidateAttack,
@@ -27,8 +29,6 @@ from asia.assurance.redteam.types import (
     Observed,
     Success,
 )
-from asia.errors import Reason, SandboxError
-from asia.judge.sandbox.types import Layer
 
 # Criteria for the success of an attack, observed from outside.
 
@@ -371,7 +371,6 @@ _BY_REASON = {
     Reason.LITERAL_DATA: Barrier.LINT,
     Reason.SUSPECT: Barrier.METAMORPHIC,
     Reason.RESTART: Barrier.METAMORPHIC,
-    Reason.LITERALS: Barrier.DESCRIPTION,
     Reason.FIT_TIMEOUT: Barrier.DEADLINE,
     Reason.SIMULATE_TIMEOUT: Barrier.DEADLINE,
     Reason.MEMORY: Barrier.RLIMITS,

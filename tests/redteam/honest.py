@@ -9,8 +9,6 @@ import numpy as np
 from asia.agents.library.family import Family
 from asia.agents.library.registry import all_families
 from asia.agents.view import Facts
-from asia.assurance.redteam.arena import Interruption
-from asia.assurance.redteam.types import HonestFinding
 from asia.candidate import Context, check_source, executed_source
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import CandidateError, Reason
@@ -24,6 +22,8 @@ from asia.problem.physics import ParameterRange, Physics
 from asia.problem.problem import Problem
 from asia.problem.protocol import ProtocolRule
 from asia.search.agent_views import problem_facts
+from tests.redteam.arena import Interruption
+from tests.redteam.types import HonestFinding
 
 TWO_TANKS, SMALL_DRONE = "two_tanks_sim", "small drone"
 
