@@ -1,6 +1,6 @@
 """Attacks that only the parent and the supervisor stop, at the level without sandbox layers.
 
-Neither the cheats of the shipped suite nor the failures that the contract of every level covers are
+Neither the cheats of the suite nor the failures that the contract of every level covers are
 repeated.
 """
 

@@ -42,9 +42,7 @@ def come_back(
 def test_exactly_the_attacks_of_the_page_come_back_without_a_layer():
     """Also while another program locks a file that candidates have open."""
     shown = {
-        (row["level"], (row["without"],)): {
-            int(part.split()[0]) for part in row["comes back"].split("; ")
-        }
+        (row["level"], (row["without"],)): {*map(int, row["comes back"].split(", "))}
         for row in page_tables()["level", "without", "comes back"]
     }
     assert all(shown.values())

@@ -1,5 +1,5 @@
-"""The suite that is shipped as `asia doctor --attack`: complete, each attack stopped as it says
-and a real one, and the page of the manual as it is."""
+"""The suite: complete, each attack stopped as it says and a real one, and the page of the manual
+as it is."""
 
 import os
 import signal
@@ -14,7 +14,6 @@ import pytest
 from asia.agents.library.family import Family
 from asia.errors import Reason, SandboxError
 from asia.judge.sandbox.availability import why_not
-from asia.judge.sandbox.layers.landlock import abi
 from asia.judge.sandbox.types import Isolation, Layer
 from tests.redteam.arena import Interruption, attack_candidate
 from tests.redteam.attacks.source import candidate
@@ -37,6 +36,7 @@ from tests.redteam.outside.without_isolation import CONTROL, OFF
 from tests.redteam.suite import (
     RedTeamPlan,
     RedTeamReport,
+    attack_table,
     honest_plan,
     line,
     report_table,
@@ -53,8 +53,6 @@ from tests.redteam.types import (
     HonestFinding,
     Observed,
 )
-
-from .conftest import BY_CHANCE, page_tables, tables
 
 CANDIDATES = [attack for attack in ATTACKS if isinstance(attack, CandidateAttack)]
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
@@ -100,8 +98,9 @@ def report(request: pytest.FixtureRequest) -> RedTeamReport:
     return run_suite(RedTeamPlan(levels, attacks, prove=NO_OUTER is None))
 
 
-def test_the_attacks_are_numbered_from_1_on_without_a_gap():
-    assert [attack.number for attack in ATTACKS] == list(range(1, len(ATTACKS) + 1))
+def test_no_number_or_name_is_given_twice():
+    numbers = [attack.number for attack in ATTACKS]
+    assert numbers == sorted({*numbers})
     assert len({attack.name for attack in ATTACKS}) == len(ATTACKS)
 
 
@@ -143,53 +142,10 @@ def test_no_attack_succeeds_by_failing():
     assert [f for f in found if f.through] == []
 
 
-def test_the_page_lists_the_attacks():
-    rows = page_tables()["#", "attack", "what it tries"]
-    shown = [(row["#"], row["attack"], row["what it tries"].replace("`", "")) for row in rows]
-    assert shown == [(str(a.number), a.name, a.tries.replace("`", "")) for a in ATTACKS]
-
-
-def test_the_page_shows_the_findings(report):
-    """Word for word on a machine such as the page names, elsewhere without the layers."""
-    shown = page_tables()["#", "attack", "namespace", "landlock", "off"]
-    ((_, found),) = tables(report_table(report)).items()
-    alike = os.uname().release.startswith("6.18") and abi() == 7
-    assert _cells(found, alike).items() <= _cells(shown, alike).items()
-
-
-def _cells(rows, with_layers):
-    """Parse the table into cells by number and level."""
-    cells: dict[tuple[str, str], str] = {}
-    by_chance = {str(number) for number in BY_CHANCE}
-    for row in rows:
-        for column, cell in row.items():
-            if cell and column not in ("#", "attack"):
-                words = cell.split(": ")
-                level = words.pop(0) if words[0] == ANY_LEVEL else column
-                word_for_word = with_layers and row["#"] not in by_chance
-                cells[row["#"], level] = ": ".join(words if word_for_word else words[:1])
-                if row["#"] in by_chance and words[0] in ("blocked", "no gain"):
-                    cells[row["#"], level] = "stopped"
-    return cells
-
-
-def test_the_page_shows_the_last_line(report, honest):
-    """One honest candidate stands for all: to fit each takes minutes."""
+def test_the_page_has_the_table_of_the_suite():
+    """`python -m tests.redteam --table` prints it."""
     page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
-    plan = replace(report.plan, honest=honest_plan())
-    alike = [replace(honest, family=row.name, problem=p.name) for p, row in plan.honest]
-    words = summary(replace(report, plan=plan, honest=tuple(alike)), 0.0)
-    families, attacks = len({one.family for one in alike}), len(plan.attacks)
-    for counts, letters in (
-        (
-            f"{families} families ({len(alike)} honest candidates)",
-            "N families (M honest candidates)",
-        ),
-        (f"{attacks} of {attacks}", "K of K"),
-    ):
-        assert counts in words
-        words = words.replace(counts, letters)
-    assert words.removesuffix(" (0 s)") in page
+    assert attack_table(ATTACKS) in page
 
 
 @needs_level

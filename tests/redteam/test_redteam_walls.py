@@ -1,4 +1,4 @@
-"""Confinement by the sandbox layers beyond the attacks of the shipped suite; never run at the
+"""Confinement by the sandbox layers beyond the attacks of the suite; never run at the
 process level, which has none."""
 
 import os

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 from asia.judge.sandbox.types import Isolation, Layer
 from tests.redteam.arena import attack_candidate
+from tests.redteam.attacks.doctor import DOCTOR
 from tests.redteam.attacks.table import ATTACKS
 from tests.redteam.outside.outer_sandbox import write_finding
 from tests.redteam.outside.without_isolation import (
@@ -24,7 +25,7 @@ from tests.redteam.types import AttackVerdict, CandidateAttack, Finding
 def main(arguments: list[str]) -> None:
     level, layers, *numbers = arguments
     without = [Layer(word) for word in layers.split(",") if word]
-    for attack in ATTACKS:
+    for attack in (*ATTACKS, *DOCTOR):
         if str(attack.number) not in numbers:
             continue
         if level == OFF and not isinstance(attack, CandidateAttack):
