@@ -1,4 +1,4 @@
-"""`asia doctor --attack` and `python -m tests.redteam`: output, refusals, and nothing left behind."""
+"""`asia doctor --attack` and `python -m tests.redteam`: output, refusals, nothing left behind."""
 
 import json
 import os
