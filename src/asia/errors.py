@@ -30,7 +30,6 @@ class Reason(StrEnum):
     NOT_REPRODUCIBLE = "not_reproducible"
     LITERAL_DATA = "literal_data"
     SUSPECT = "suspect"
-    LITERALS = "literals"
     RESTART = "restart"
     BEHIND = "behind"
 
@@ -78,8 +77,6 @@ _ADVICE = {
     "let fit estimate them from the training records, and shorten the rest",
     Reason.SUSPECT: "the simulation does not behave like a dynamical system: "
     "make simulate a causal, continuous function of each row alone, with no memory between calls",
-    Reason.LITERALS: "suspect: data in the source seem to explain the gain: "
-    "let fit estimate numbers from the training records",
     Reason.RESTART: "the model is accurate from the scored initial samples only: "
     "make simulate equally accurate from any other sample of a record",
     Reason.BEHIND: "V is far above the best for any result of the other folds, so they were "
