@@ -135,7 +135,7 @@ def try_honest(
             followed = [i for i, known in enumerate(fold.followed) if known]
             found = suspicions(worker, fold.held_out, y_hat, fold.scale, horizon, followed=followed)
     except CandidateError as error:
-        flagged = error.reason in (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
+        flagged = error.reason in (Reason.SOURCE_SIZE, Reason.SUSPECT, Reason.RESTART)
         failure = None if flagged else error.reason
         seconds = time.monotonic() - begin
         return HonestFinding(row.name, problem.name, flagged, str(error)[:200], seconds, failure)

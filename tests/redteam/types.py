@@ -31,7 +31,8 @@ class Barrier(StrEnum):
     FRESH = "fresh worker"
     READER = "source reader"
     """The process with limits that reads sources before the search does."""
-    LINT = "lint"
+    GUARD = "guard records"
+    """Records that nobody in a search can read: a gain that they do not show is unconfirmed."""
     METAMORPHIC = "metamorphic check"
     FEEDBACK = "feedback"
     LEDGER = "ledger"
@@ -80,6 +81,8 @@ class Observed:
     seconds: float = 0.0
     limit: float = 0.0
     """Time limit of a fit in seconds."""
+    unconfirmed: str = ""
+    """Gain on the guard records, in words, where it is less than half of that in V."""
     overran: bool = False
     """Whether no deadline ended it."""
     ran: bool = False

@@ -302,7 +302,7 @@ SCORES = (
             ),
         },
         scores_better,
-        (Barrier.LINT, Barrier.METAMORPHIC, Barrier.PARENT),
+        (Barrier.METAMORPHIC, Barrier.GUARD, Barrier.PARENT),
     ),
     CandidateAttack(
         30,
