@@ -106,10 +106,10 @@ last = 0
 
 
 def lot():
-    first = now = number()
-    while now // 1024 == first // 1024:
-        now = number()
-    return now
+    lots = set()
+    while len(lots) < os.cpu_count() + 2:
+        lots.add(number() // 1024)
+    return 1024 * max(lots)
 
 
 def jump(end):
@@ -275,8 +275,6 @@ CHANNELS = (
             _LOTS + _THREAD_NUMBER),
     Channel("threads of the machine, by sysinfo", 0.1, "park(bit, end)",
             _COUNT + "refused('sysinfo') if libc.sysinfo(room) else room.raw[80]", _PARK),
-    Channel("threads of the machine, in /proc/loadavg", 0.1, "park(bit, end)",
-            _COUNT + "int(open('/proc/loadavg').read().split()[3].split('/')[1])", _PARK),
     Channel("threads of another worker, by stat", 0.1, "park(bit, end)",
             _COUNT + "neighbours(lambda pid: os.stat(f'/proc/{pid}/task').st_nlink)",
             _PARK + _NEIGHBOURS),
