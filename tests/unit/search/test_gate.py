@@ -12,7 +12,7 @@ from asia.ledger.verification import verify
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem
 from asia.search.replay import replay_run
-from asia.search.run import prepare, search
+from asia.search.run import guard_share, prepare, search
 
 from .toy import Scripted, arx, write_problem
 
@@ -145,6 +145,49 @@ def write_changing(directory: Path) -> Path:
     return problem
 
 
+# A network of one layer with random features, fitted by least squares without a ridge.
+NETWORK = """
+import numpy as np
+
+
+class Model:
+    def __init__(self, features, scale, weights):
+        self.features, self.scale, self.weights = features, scale, weights
+
+    def rows(self, x):
+        return np.hstack([np.tanh(x @ self.features), x, np.ones((len(x), 1))])
+
+    def simulate(self, past_u, past_y, u):
+        y = [past_y[:, -2], past_y[:, -1]]
+        x = np.concatenate([past_u, u], axis=1)
+        for k in range(past_u.shape[1], x.shape[1]):
+            row = np.hstack([y[-1], y[-2], x[:, k], x[:, k - 1], x[:, k - 2]]) / self.scale
+            y.append(np.clip(self.rows(row) @ self.weights, -20.0, 20.0))
+        return np.stack(y[2:], axis=1)
+
+
+def fit(trajectories, context):
+    (t,) = trajectories
+    x = np.hstack([t.y[1:-1], t.y[:-2], t.u[2:], t.u[1:-1], t.u[:-2]])
+    features = np.random.default_rng({seed}).normal(size=(5, 20))
+    model = Model(features, x.std(axis=0), None)
+    model.weights = np.linalg.lstsq(model.rows(x / model.scale), t.y[2:], rcond=None)[0]
+    return model
+"""
+
+
+def write_short(directory: Path) -> Path:
+    """A Hammerstein system with noise, 200 samples."""
+    problem = write_problem(directory, experiments=2, test=False)
+    rng = np.random.default_rng(0)
+    u, x = rng.normal(size=250), np.zeros(250)
+    for k in range(1, 250):
+        x[k] = 0.8 * x[k - 1] + 0.5 * np.tanh(1.5 * u[k - 1])
+    table = np.stack([u, x + 0.15 * rng.normal(size=250)], axis=1)[50:]
+    np.savetxt(problem / "train.csv", table, delimiter=",", header="u,y", comments="")
+    return problem
+
+
 def whisper(folder: Path) -> str:
     text = WHISPER.replace("{folder}", repr(str(folder)))
     return arx(1).replace("def fit(", "def train(") + text
@@ -231,6 +274,18 @@ def test_small_edits_do_not_add_up(tmp_path: Path):
     view = go(problem, tmp_path / "runs", *sources)
     assert "keep" not in statuses(view)[1:]
     assert view.best == view.finished[0]
+
+
+@pytest.mark.slow
+def test_an_honest_network_that_overfits_is_unconfirmed(tmp_path: Path):
+    problem = load_problem(write_short(tmp_path / "toy"), guard_share(["scripted"], None))
+    sources = tuple(NETWORK.replace("{seed}", str(seed)) for seed in (0, 6, 7))
+    problem = replace(problem, budget=replace(problem.budget, experiments=4))
+    ready = prepare(problem, "scripted", seed=0, runs=tmp_path / "runs")
+    view = search(ready, Scripted(sources), lambda event, view: None, lambda view: None)
+    assert statuses(view) == ["keep", "keep", "unconfirmed", "unconfirmed"]
+    assert view.best == view.finished[1]
+    assert value(view.finished[2]) < 0.8 * value(view.finished[1])
 
 
 def test_without_guard_records_a_result_is_doubtful_at_most(tmp_path: Path):
