@@ -26,6 +26,7 @@ from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.chain import write_whole
 from asia.ledger.events import Event, TestedModel, Unsealed
+from asia.ledger.looks import later_words
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
@@ -768,8 +769,8 @@ def _notes(declared: str | None, test: TestResult | None) -> list[str]:
             "search."
         ]
     notes = [f"Run {test.run}, experiment {test.record.experiment}, declared before its search."]
-    if test.opened_before:
-        notes.append(f"The same test had been opened before, by {', '.join(test.opened_before)}.")
+    if words := later_words(test.opened_before):
+        notes.append(f"{words[0].upper()}{words[1:]}.")
     return notes
 
 
