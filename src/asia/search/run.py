@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import math
 import platform
 import re
@@ -15,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Final, get_args
 
-from asia._plugins import parts
+from asia._plugins import parts, version_of
 from asia.agents.registry import packages_of
 from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
@@ -67,7 +66,7 @@ def environment(*agents: str) -> dict[str, str]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         **{part.package: part.version for part in parts()},
-        **{name: importlib.metadata.version(name) for name in names},
+        **{name: version_of(name) for name in names},
         "asia.models": library_digest(),
     }
 

@@ -9,7 +9,6 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -17,6 +16,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy.stats import wilcoxon
 
+from asia._files import PACKAGE
 from asia._text import printable_line
 from asia.agents.registry import make_agent
 from asia.agents.relay import legs_of
@@ -104,7 +104,7 @@ class Paper:
 
 def paper(problem_name: str) -> Paper | None:
     """The paper's figures on a built-in problem; None when it has none."""
-    text = (resources.files("asia.assurance.bench") / "paper.toml").read_text("utf-8")
+    text = ((PACKAGE / "assurance" / "bench") / "paper.toml").read_text("utf-8")
     return TypeAdapter(dict[str, Paper]).validate_python(tomllib.loads(text)).get(problem_name)
 
 
@@ -272,7 +272,7 @@ class FixedAgent:
 
 def reference_agent(names: tuple[str, ...]) -> FixedAgent:
     """The reference candidates of these names, see `TITLES`."""
-    folder = resources.files("asia.assurance.bench") / "candidates"
+    folder = (PACKAGE / "assurance" / "bench") / "candidates"
     return FixedAgent(tuple((TITLES[n], (folder / f"{n}.py").read_text("utf-8")) for n in names))
 
 
