@@ -32,13 +32,12 @@ description = "description.md"
 notes = "description.md"
 strategies = "description.md"
 sampling_time = 0.5
-inputs = [{ name = "u", unit = "V", role = "" }]
+inputs = [{ name = "u", unit = "V" }]
 outputs = [{ name = "y", unit = "V" }]
 [data]
 source = "files"
 train = ["train.csv"]
 test = ["test.csv"]
-format = "csv"
 time = "t"
 time_unit = "s"
 [protocol]
