@@ -410,7 +410,7 @@ def _integrates(records: tuple[Trajectory, ...], output: int) -> bool:
     if sum(len(u) for u, _ in means) < _LEAST_SAMPLES:
         return False
     # A ramp beside the inputs is drift.
-    means = [(np.column_stack([u, np.arange(len(u))]), y) for u, y in means]
+    means = [(np.column_stack([u, np.arange(float(len(u)))]), y) for u, y in means]
     poles = _one_step_poles(means, output, _BLOCK_LAGS, 0)
     real = np.real(poles)[abs(np.imag(poles)) < 0.02]
     return bool(_LEAST_POLE < float(real.max(initial=0.0)) < _LARGEST_POLE)
