@@ -24,7 +24,7 @@ from asia.analysis.monitor import (
 )
 from asia.data.intake.formats import file_format
 from asia.data.intake.sheet import Wanted
-from asia.data.intake.time import time_column
+from asia.data.intake.timestamps import time_column
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.linear import StepModels, step_models

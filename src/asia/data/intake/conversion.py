@@ -31,10 +31,9 @@ from asia.data.intake.time import (
     held,
     places,
     runs,
-    seconds,
     segments,
-    time_column,
 )
+from asia.data.intake.timestamps import check_time_unit, read_times, time_column
 from asia.data.trajectory import Array, Trajectory, unique_names
 from asia.errors import UserError
 
@@ -54,6 +53,8 @@ class TablePart:
     first_line: int
     is_file: bool = False
     """Whether it is the one record of its file."""
+    time: str = ""
+    """Column of the time stamps and its pattern, in words."""
 
     def rows(self, rows: slice | Rows) -> TablePart:
         """Return the part with these rows alone."""
@@ -120,12 +121,16 @@ def _one_clock(sheet: FileTable, wanted: Wanted, values: Mapping[str, Array]) ->
     u = np.stack([values[n] for n in wanted.inputs], axis=1)
     y = np.stack([values[n] for n in wanted.outputs], axis=1)
     time = time_column(sheet, wanted)
-    timestamps = None if time is None else seconds(sheet, time, wanted)
+    line = None if time is None else read_times(sheet, time, wanted)
+    timestamps = None if line is None else line.seconds
     part = TablePart(
-        sheet.name, u, y, timestamps, sheet.sampling_time, sheet.where, sheet.first_line
-    )
+        sheet.name, u, y, timestamps, sheet.sampling_time, sheet.where, sheet.first_line,
+        time="" if line is None else line.text,
+    )  # fmt: skip
     if timestamps is None or np.isfinite(timestamps).all():
         return part
+    unknown = _many(int((~np.isfinite(timestamps)).sum()), "row")
+    part = replace(part, time=f"{part.time}, {unknown} without a stamp left out")
     return part.rows(np.flatnonzero(np.isfinite(timestamps)))
 
 
@@ -203,6 +208,8 @@ class Intake:
     """Units that the files give, by channel."""
     notes: tuple[str, ...] = ()
     """Findings and changes, in plain words."""
+    readings: tuple[str, ...] = ()
+    """Sampling time of each file, and the evidence for it."""
     inputs: tuple[str, ...] = ()
     """Names of the inputs, with the columns of a matrix in place of its name."""
     outputs: tuple[str, ...] = ()
@@ -233,6 +240,7 @@ def take_in(
     found: list[TablePart] = []
     found_units: dict[str, str] = {}
     asked: Wanted | None = None
+    check_time_unit(wanted.time_unit)
     stems = Counter(path.stem for path in paths)
     for path in paths:
         for sheet in file_format(path).read(path, wanted):
@@ -335,6 +343,7 @@ def make_records(
             notes.append(f"{part.where}: time goes back {back}, a new record begins at each")
         timed += [(part.rows(rows), clock(stamps[rows])) for rows in cuts]
     where = ", ".join(dict.fromkeys(part.where for part in found))
+    readings = tuple(dict.fromkeys(_reading(part, own) for part, own in timed if part.time and own))
     step = _slowest(timed, where) if sampling_time is None else sampling_time
     grid = _Grid(step, use, ignore, notes)
     made: list[Trajectory] = []
@@ -365,7 +374,15 @@ def make_records(
         )
     names = unique_names([t.name for t in made])
     records = tuple(replace(t, name=n) for t, n in zip(made, names, strict=True))
-    return Intake(records, notes=tuple(notes))
+    return Intake(records, notes=tuple(notes), readings=readings)
+
+
+def _reading(part: TablePart, own: Clock) -> str:
+    """The sampling time of a part, with its evidence."""
+    steps = np.diff(places(part.timestamps, own.step)) if part.timestamps is not None else []
+    equal = int(np.sum(np.equal(steps, 1)))
+    kind = "equal steps" if own.regular else "uneven steps"
+    return f"{part.where}: sampled every {own.step:g} s: {part.time}, {equal} {kind}"
 
 
 def as_written(sheet: FileTable, wanted: Wanted, sampling_time: float) -> Trajectory:
