@@ -190,8 +190,8 @@ class SystemIdentifier:
             plant=self.plant,
         )
         if self.progress:
-            for warning in problem.warnings:
-                say(warning)
+            for text in (*problem.readings, *problem.warnings):
+                say(text)
         self.run_ = search_for_model(
             problem,
             agent=self.agent,

@@ -58,6 +58,34 @@ class FileTable:
 
 
 @dataclass(frozen=True)
+class Missing:
+    """Samples that count as not measured: an entry of `[[data.missing]]`."""
+
+    signal: str | None = None
+    """Input or output; None for every one."""
+    code: float | None = None
+    """Value that marks a missing one."""
+    min: float | None = None
+    """Least value that the signal can have; likewise `max`."""
+    max: float | None = None
+    record: str | None = None
+    """Record of `rows`, as `asia check` names it; None for every one."""
+    rows: tuple[int, int] | None = None
+    """First and last row of the record, 1-based."""
+
+    def marks(self, values: Array) -> NDArray[np.bool_]:
+        """Return where values are missing by the code and the range."""
+        found = np.zeros(values.shape, np.bool_)
+        if self.code is not None:
+            found |= np.isclose(values, self.code, rtol=1e-9, atol=0.0)
+        if self.min is not None:
+            found |= values < self.min
+        if self.max is not None:
+            found |= values > self.max
+        return found
+
+
+@dataclass(frozen=True)
 class Wanted:
     """Options for reading a file."""
 
@@ -71,6 +99,8 @@ class Wanted:
     """Column whose value names the experiment of a row."""
     columns: tuple[str, ...] = ()
     """Names of the columns of a file without a header."""
+    missing: tuple[Missing, ...] = ()
+    """Samples that count as not measured."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
     """Callback for the progress of a long read, in words."""
     time_step: int | None = None

@@ -109,7 +109,7 @@ def number(cell: object) -> float | None:
 _SAMPLE = 400
 _BLOCK = 2**20
 _COMMENTS = ("#", "%", "//", "!")
-_WITH_UNIT = re.compile(r"^[-+−]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(?P<unit>[^\d\s.,:/+-]\S{0,9})$")
+_WITH_UNIT = re.compile(r"^[-+−]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(?P<unit>[^\d\s.,:/+-]\S{0,15})$")
 _STAMP = re.compile(r"^[\dT:.,+\-/ Zampm]*\d[:/\-.]\d[\dT:.,+\-/ Zampm]*$", re.IGNORECASE)
 
 

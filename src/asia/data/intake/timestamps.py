@@ -66,8 +66,8 @@ def check_time_unit(given: str | None) -> frozenset[str]:
         unit = _WORDS.get(word.casefold())
         if unit is None and word.casefold() not in forms:
             raise UserError(
-                f"--time-unit is '{word}', no unit of time{suggestion(word, _every_word())}; "
-                f"expected ns, us, ms, s, min, h or d, or for dates and clocks {', '.join(_FORMS)}"
+                f"--time-unit is '{word}', expected ns, us, ms, s, min, h or d, or for dates and "
+                f"clocks {', '.join(_FORMS)}{suggestion(word, _every_word())}"
             )
         found.add(forms[word.casefold()] if unit is None else unit.name)
     return frozenset(found)
@@ -241,7 +241,7 @@ def _gathered(sheet: FileTable, name: str) -> _Column:
             p.matches(t) for p in _TEXTS if p.is_dated and not p.has_clock(t)), numbers=is_number,
         )  # fmt: skip
         numbers = to_numbers(cells, where, first_line) if is_number else None
-        if is_number and (not dates or (numbers % 1 > 0).any()):
+        if numbers is not None and (not dates or (numbers % 1 > 0).any()):
             return _Column(name, where, first_line, texts, numbers)
         if dates:
             days = _texts(sheet.columns[dates].cells)
@@ -373,8 +373,9 @@ def _read_texts(pattern: _Pattern, column: _Column) -> Array | None:
     compiled = re.compile(pattern.expression, re.IGNORECASE)
     texts = column.texts
     width = 6 if "HHMMSS" in pattern.tags else 4 if "HHMM" in pattern.tags else 0
-    if (column.numbers is not None) != bool(pattern.tags & {"YYYYMMDD", "HHMMSS", "HHMM"}) or (
-        width and not column.dates
+    is_number = column.numbers is not None
+    if (is_number and not width and "YYYYMMDD" not in pattern.tags) or (
+        width and not (is_number and column.dates)
     ):
         return None
     if width:
@@ -487,7 +488,7 @@ _TEXTS: tuple[_Pattern, ...] = (
              rf"{_WEEKDAY}{_B} +{_D} +{_CLOCK} +{_EITHER}"),
     _Pattern("year and day of the year", frozenset(("year-first",)), _read_texts,
              rf"{_YEAR}-(?P<j>\d\d\d)(?:{_JOIN}{_CLOCK})?"),
-    _Pattern("digits YYYYMMDD and a clock", frozenset(("YYYYMMDD", "24-hour")), _read_texts,
+    _Pattern("digits YYYYMMDD", frozenset(("YYYYMMDD", "24-hour")), _read_texts,
              rf"{_YEAR}(?P<M>\d\d)(?P<D>\d\d)(?:{_JOIN}{_CLOCK})?"),
     _Pattern("digits YYYYMMDDhhmmss", frozenset(("YYYYMMDD", "24-hour")), _read_texts,
              rf"{_YEAR}(?P<M>\d\d)(?P<D>\d\d)(?:[T ]?{_TIGHT})?"),
@@ -588,7 +589,8 @@ def read_times(sheet: FileTable, name: str, wanted: Wanted) -> Timeline:
         )
     chosen = left[0]
     seconds = np.round(chosen.seconds, 9)
-    return Timeline(seconds, f"column {column.name} ({_described(chosen, fits, column, stated)})")
+    label = column.name if chosen.pattern.unit is None else split_unit(name)[0]
+    return Timeline(seconds, f"column {label} ({_described(chosen, fits, column, stated)})")
 
 
 def _option(one: _Fit, other: _Fit) -> str:
@@ -633,8 +635,8 @@ def _stated(sheet: FileTable, name: str, column: _Column) -> frozenset[str]:
     if strange and not units and not hints:
         near = suggestion(strange[0], [w for w in _every_word() if w not in _FORMS])
         raise UserError(
-            f"{column.where}: '{strange[0]}' is no unit of time{near}: correct the header, or give "
-            "--time-unit s, ms, us, ns, min, h or d (time_unit in [data])"
+            f"{column.where}: '{strange[0]}' is no unit of time: correct the header, or give "
+            f"--time-unit s, ms, us, ns, min, h or d (time_unit in [data]){near}"
         )
     return frozenset(units)
 
