@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ class Log:
 
     def records(self) -> list[tuple[np.ndarray, np.ndarray]]:
         edges = [0, *self.cuts, len(self.u)]
-        return [(self.u[a:b], self.y[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+        return [(self.u[a:b], self.y[a:b]) for a, b in pairwise(edges)]
 
 
 @dataclass

@@ -12,7 +12,7 @@ from asia.data.intake.conversion import Intake, TablePart, Use, make_records
 from asia.data.intake.sheet import Column, FileTable, Wanted, find_column, split_unit
 from asia.data.intake.time import JITTER
 from asia.data.intake.timestamps import Timeline, read_times, time_column
-from asia.data.trajectory import Array, Signal
+from asia.data.trajectory import Array, Signal, real_numbers
 from asia.errors import UserError
 
 _IGNORE_INDEX = "drop the index (reset_index(drop=True)) and give sampling_time"
@@ -163,7 +163,9 @@ def _check_same_times(u: FileTable, y: FileTable) -> None:
 def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:
     names = [str(column) for column in getattr(values, "columns", ())]
     try:
-        array = np.asarray(values.to_numpy() if names else values)
+        # Missing values of data frames are NaN, whatever marks them.
+        options = {"na_value": np.nan} if hasattr(values, "iloc") else {}
+        array = values.to_numpy(**options) if names else values
         # Of a data frame only the columns that are asked for need to be numbers.
         if names:
             found = [find_column(names, s.name) for s in signals]
@@ -173,10 +175,13 @@ def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:
                     f"{what}: no column '{missing}' (it has {', '.join(names)})"
                     f"{suggestion(missing, names)}"
                 )
+            for name in found:
+                if names.count(str(name)) > 1:
+                    raise UserError(f"{what}: {names.count(str(name))} columns are named '{name}'")
             array = array[:, [names.index(name) for name in found if name is not None]]
-        array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise UserError(f"{what} do not read as numbers: {error}") from None
+    array = real_numbers(array, what)
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2:
         raise UserError(

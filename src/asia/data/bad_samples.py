@@ -99,7 +99,7 @@ def find_bad_samples(
         return ()
     for i, name in enumerate(inputs):
         signal = _Signal(f"input {name}", records, [r.u[:, i] for r in records])
-        found += [*_codes(signal), *_outliers(signal, is_input=True)]
+        found += list(_codes(signal)) or list(_outliers(signal, is_input=True))
     pulses = {(one.record, one.first) for one in found if one.kind == "outlier"}
     for j, name in enumerate(outputs if not only_inputs else ()):
         signal = _Signal(f"output {name}", records, [r.measured_y[:, j] for r in records])

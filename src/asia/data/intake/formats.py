@@ -277,15 +277,19 @@ class Arrow(FileFormat):
                 )
         except (OSError, pyarrow.lib.ArrowException) as error:
             raise UserError(f"{path} does not read as Parquet or Arrow: {error}") from None
+        names_of_all: list[str] = schema.names
         kinds: dict[str, str] = {
-            n: _kind(t) for n, t in zip(schema.names, schema.types, strict=True)
+            n: _kind(t)
+            for n, t in zip(names_of_all, schema.types, strict=True)
+            if names_of_all.count(n) == 1
         }
         empty = {n: Column(np.zeros(0, kind)) for n, kind in kinds.items()}
+        twice = {n: ("",) * names_of_all.count(n) for n in names_of_all if n not in kinds}
         names = {find_column(list(empty), n) for n in wanted.names}
         names |= {n for n in empty if may_be_time(n)} if wanted.names else set()
         names.add(time_column(FileTable(path.stem, empty, where=str(path)), wanted))
         if not wanted.names or not all(find_column(list(empty), n) for n in wanted.names):
-            return (FileTable(path.stem, empty, where=str(path)),)
+            return (FileTable(path.stem, empty, where=str(path), repeated=twice),)
         cells = {n: np.empty(rows, dtype=kinds[n]) for n in empty if n in names}
         done = 0
         for batch in read_batches(columns=list(cells)):
@@ -406,8 +410,12 @@ class Tdms(FileFormat):
         full = [s for s in groups if all(find_column(list(s.columns), n) for n in wanted.names)]
         if len(full) > 1 and wanted.names:
             return tuple(full)
-        every = {n: c for s in groups for n, c in s.columns.items()}
-        return (FileTable(path.stem, full[0].columns if full else every, where=str(path)),)
+        if full:
+            return (FileTable(path.stem, full[0].columns, where=str(path)),)
+        pairs = [(n, c) for s in groups for n, c in s.columns.items()]
+        every = [s.name for s in groups for _ in s.columns]
+        table = FileTable(path.stem, {}, where=str(path))
+        return (named_table(table, [n for n, _ in pairs], [c for _, c in pairs], every),)
 
 
 class Mdf(FileFormat):

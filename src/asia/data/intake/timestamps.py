@@ -594,7 +594,8 @@ def read_times(sheet: FileTable, name: str, wanted: Wanted) -> Timeline:
 
 
 def _option(one: _Fit, other: _Fit) -> str:
-    return sorted(one.pattern.tags - other.pattern.tags)[0]
+    own = one.pattern.tags - other.pattern.tags
+    return next((form for form in _FORMS if form in own), "".join(own))
 
 
 def _described(chosen: _Fit, fits: Sequence[_Fit], column: _Column, stated: frozenset[str]) -> str:
@@ -685,7 +686,11 @@ def _decided(fits: Sequence[_Fit], sheet: FileTable, name: str, column: _Column)
     is_dated = re.search(r"(?i)date|stamp|datum|excel", split_unit(name)[0])
     if len(left) > 1 and is_dated:
         left = [f for f in left if f.pattern.name != "seconds"]
-    elif len(left) > 1 and (even := [f for f in left if _is_natural(abs(f.step))]):
+    elif (
+        len(left) > 1
+        and column.numbers is not None
+        and (even := [f for f in left if _is_natural(abs(f.step))])
+    ):
         left = even
     if len(left) > 1:
         steps = [step for other in sheet.columns if other != name and (step := _step(sheet, other))]
