@@ -15,7 +15,7 @@ from asia.data.trajectory import Array, Trajectory
 
 _CODE = re.compile(r"-?9999*(\.9+)?|-999\.25|-?[67]999|32767|-32768|65535")
 """Values that loggers write for a missing one."""
-_FAR, _MOST, _LEVEL = 3.0, 5, 1e-4
+_FAR, _MOST, _LEVEL = 3.0, 5, 1e-3
 """Distance of a code from the others in their range, outliers looked for at once in a signal, and
 false alarms in a signal. On records without bad samples the alarms of all kinds stay below 2 % of
 the files (benchmarks/data/bad_samples.py)."""
@@ -53,7 +53,7 @@ class BadSamples:
             f"row {self.first}" if self.first == self.last else f"rows {self.first} to {self.last}"
         )
         place = f"{rows} of record '{self.record}' (from {self.time:g} s)"
-        many = f"{self.count} samples, the first in" if self.count > 1 else "in"
+        many = f"in {self.count} samples, the first in" if self.count > 1 else "in"
         if self.kind == "code":
             return (
                 f"{self.signal} is {self.value:g} {many} {place}, {self.statistic:.2g} times the "
@@ -176,7 +176,7 @@ def _outliers(signal: _Signal, *, is_input: bool) -> Iterator[BadSamples]:
     pooled, values = np.concatenate(departures), signal.values
     order = np.argsort(-pooled, kind="stable")
     size = pooled[order]
-    most = min(max(20, len(size) // 10), len(size) - _MOST - 2)
+    most = min(25, len(size) - _MOST - 2)
     if values.size < 30 or most < 10 or size[0] <= 0:
         return
     levels = np.unique(values)
@@ -189,9 +189,9 @@ def _outliers(signal: _Signal, *, is_input: bool) -> Iterator[BadSamples]:
         others = np.delete(np.concatenate(signal.parts), order[:j])
         others = others[np.isfinite(others)]
         spread = float(np.ptp(others)) if is_input else float(np.std(others))
-        if ratio < 3.0 or math.exp(-j * math.log(ratio) / mean) > _LEVEL or spread == 0:
-            continue
-        if size[j - 1] > spread:
+        # A departure ten times the next is rare even where the tail of smooth signals is uneven.
+        is_rare = ratio > 10.0 or math.exp(-j * math.log(max(ratio, 1.0)) / mean) <= _LEVEL
+        if ratio > 3.0 and is_rare and size[j - 1] > spread > 0:
             row = int(order[:j].min())
             k = int(np.searchsorted(starts, row, side="right")) - 1
             yield signal.bad("outlier", (k, row - int(starts[k])), float(ratio), j)
