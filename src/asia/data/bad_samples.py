@@ -250,7 +250,7 @@ def _frozen(signal: _Signal) -> Iterator[BadSamples]:
             moves = (u.std(axis=0) > 0.3 * spread)[spread > 0]
             if moves.any():
                 ends = float(part[first]) in (float(values.min()), float(values.max()))
-                rests.append((length, k, int(first), first > 0 and not ends))
+                rests.append((length, k, int(first), bool(first > 0 and not ends)))
     rests.sort(key=lambda one: -one[0])
     equal = sum(int((np.diff(p) == 0).sum()) for p in signal.parts)
     for j in range(min(3, len(rests)), 0, -1):
