@@ -192,6 +192,9 @@ def _outliers(signal: _Signal, *, is_input: bool) -> Iterator[BadSamples]:
         # A departure ten times the next is rare even where the tail of smooth signals is uneven.
         is_rare = ratio > 10.0 or math.exp(-j * math.log(max(ratio, 1.0)) / mean) <= _LEVEL
         if ratio > 3.0 and is_rare and size[j - 1] > spread > 0:
+            jumped = np.concatenate(signal.parts)[order[:j]]
+            if is_input and j > 1 and np.ptp(jumped) == 0:
+                return  # Pulses of one height are part of the experiment.
             row = int(order[:j].min())
             k = int(np.searchsorted(starts, row, side="right")) - 1
             yield signal.bad("outlier", (k, row - int(starts[k])), float(ratio), j)
