@@ -28,7 +28,8 @@ T = TypeVar("T")
 
 # Samples that a fit takes from the records, from the first on.
 _MOST_SAMPLES = 6_000
-# Decrease of the Bayesian information criterion that a larger structure must reach.
+# Decrease of the Bayesian information criterion that an effect, an integrator, or a motion at the
+# start must reach.
 _EVIDENCE = 10.0
 # Variance of the error, over that of the output, below which errors are rounding.
 _ROUNDING = 1e-10
@@ -573,7 +574,7 @@ class _Data:
                         continue
                     tried = self._extended(best, j, larger)
                     refused.add((j, larger))
-                    if tried.criterion < best.criterion - _EVIDENCE and self._resolved(tried, j):
+                    if tried.criterion < best.criterion and self._resolved(tried, j):
                         best, progress = tried, True
                         break
         return best
@@ -878,7 +879,10 @@ class _Data:
                 continue
             apart, size = abs(value - impulse[k]) / wide, abs(value) / wide
             fits = fits and bool(apart < 4.0)
-            if apart**2 - size**2 < 4.0:
+            # One that does not exceed its error does not count where the next one clearly does.
+            clear = i + 1 < len(window) and abs(estimate[i + 1]) > 4.0 * error[i + 1]
+            small = max(abs(value), abs(impulse[k])) <= 2.0 * wide
+            if apart**2 - size**2 < 4.0 and not (small and clear):
                 return k, fits
         return first, fits
 
