@@ -25,6 +25,7 @@ from asia.ledger.events import Evaluated, Event, Use
 from asia.ledger.evidence import IdentifiedParameter, identified
 from asia.ledger.run import Run, find_run, model_to_use, open_run
 from asia.ledger.text import error_value
+from asia.ledger.verdict import Usability, usability
 from asia.ledger.view import SearchView
 from asia.problem.load import load_lock
 from asia.problem.plant import plant_file
@@ -330,6 +331,13 @@ class SystemIdentifier:
         return best.score.value
 
     @property
+    def verdict_(self) -> Usability:
+        """The verdict on the model to use, as every command prints it."""
+        found = usability(open_run(self._opened.directory).view)
+        assert found is not None
+        return found
+
+    @property
     def source_(self) -> str:
         """The best candidate's code."""
         best = self._opened.view.best
@@ -341,10 +349,11 @@ class SystemIdentifier:
         """The parameters of the model fitted to all records, with their uncertainty: a data frame,
         one row a parameter, or without pandas a tuple of objects.
 
-        Columns: `value`, `unit`, `standard_error`; `low` and `high`, the 95 % interval;
-        `fold_error`, the standard error by the spread of the fold models; `lower` and `upper`, the
-        search range; `identifiable`, whether the records determine it. No rows where the best
-        candidate has no parameters.
+        Columns: `value`, `unit`, `standard_error`; `low` and `high`, the 95 % interval that
+        `asia show` prints; `fold_error`, the standard error by the spread of the fold models;
+        `lower` and `upper`, the search range; `identifiable`, whether the records determine it. No
+        rows where the best candidate has no parameters. Without a refit the values are means over
+        the fold models.
         """
         model = identified(self._opened)
         found = () if model is None else model.parameters
@@ -352,17 +361,18 @@ class SystemIdentifier:
             import pandas as pd
         except ImportError:
             return found
-        estimates = ("value", "unit", "standard_error", "low", "high")
+        estimates = ("value", "unit", "standard_error")
         rows = [
             {
                 **{name: getattr(one.fitted, name) for name in estimates},
+                **dict(zip(("low", "high"), one.interval or (None, None), strict=True)),
                 "fold_error": one.fold_error,
                 **{name: getattr(one.fitted, name) for name in ("lower", "upper", "identifiable")},
             }
             for one in found
         ]
         names = pd.Index([one.fitted.name for one in found], name="parameter")
-        columns = [*estimates, "fold_error", "lower", "upper", "identifiable"]
+        columns = [*estimates, "low", "high", "fold_error", "lower", "upper", "identifiable"]
         frame = pd.DataFrame(rows, index=names, columns=columns)
         numbers = [name for name in columns if name not in ("unit", "identifiable")]
         return frame.astype(dict.fromkeys(numbers, float))

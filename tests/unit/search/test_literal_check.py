@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from asia.errors import Reason
-from asia.ledger.run import alarms, open_run
+from asia.ledger.run import open_run
+from asia.ledger.verdict import alarms
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem

@@ -166,6 +166,10 @@ def test_parameters_are_a_data_frame_where_pandas_is_installed(
     assert isinstance(plain, tuple)
     assert [one.fitted.name for one in plain] == list(frame.index)
     assert [one.fitted.value for one in plain] == frame["value"].tolist()
+    assert plain
+    ends = [one.interval or (np.nan, np.nan) for one in plain]
+    np.testing.assert_array_equal(frame[["low", "high"]].to_numpy(), np.array(ends))
+    assert fitted.verdict_ == usability(asia.open_run(fitted.run_.directory).view)
 
 
 def read(
