@@ -17,6 +17,7 @@ from asia.data.trajectory import Array, Trajectory, data_digest, filled
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
+from asia.judge.scoring.bands import HeldOutErrors, error_sizes
 from asia.judge.scoring.checks.check import Check, Verdict, most_serious, summary
 from asia.judge.scoring.checks.errors import (
     check_bands,
@@ -350,6 +351,7 @@ class _Validation:
                 lambda: self._check_windows(pairs) if windows else self._check_starts(),
             ),
             *_run_check("region of validity", lambda: check_region(found, basis.region)),
+            *_run_check("output bands", lambda: self._check_left_out(basis)),
         )
 
     def new_records(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
@@ -412,13 +414,23 @@ class _Validation:
             each = simulate_members(self.evaluator, self.run, behind, blocks)
         except CandidateError:
             return no_bands("a fold model does not simulate this record")
-        held, known = 0.0, 0
+        held, known, errors = 0.0, 0, list[Array]()
         for block, folds, mean in zip(blocks, each, y_hat, strict=True):
             bands, _ = basis.around(block.case, folds, mean, BAND_LEVEL)
             inside = (bands.lower <= block.y) & (block.y <= bands.upper)
             held, known = held + inside.sum(axis=0), known + (~np.isnan(block.y)).sum(axis=0)
+            errors.append(block.y - mean)
+        worth = np.array(error_sizes([HeldOutErrors(tuple(errors))]).independent)
+        return self._banded(basis, held / np.maximum(known, 1), worth)
+
+    def _check_left_out(self, basis: BandBasis) -> Check:
+        """Check the coverage of each fold by the bands of the other folds."""
+        worth = np.array(error_sizes(basis.errors, by_step=basis.windows).independent)
+        return self._banded(basis, basis.calibration.held.mean(axis=0), worth)
+
+    def _banded(self, basis: BandBasis, held: Array, independent: Array) -> Check:
         outputs = [s.name for s in self.problem.outputs]
-        return check_bands(held / np.maximum(known, 1), outputs, BAND_LEVEL)
+        return check_bands(held, independent, outputs, BAND_LEVEL, basis.calibration.withdrawn)
 
     def _simulations(self, pairs: Sequence[tuple[Block, Array]]) -> SimulatedBlocks:
         return SimulatedBlocks(

@@ -9,6 +9,7 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
+from asia.judge.scoring.bands import KNOWN_WITHIN
 from asia.judge.scoring.checks.check import ALARM_RATE, Verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import StressTest, TestedModel
@@ -36,6 +37,12 @@ AGREEMENT = Level(
     EXPLAINED.level,
     "as above",
 )
+COVERAGE = Level(
+    "largest standard error of the share that 90 % bands hold of folds that did not make them; "
+    "otherwise the bands are withdrawn",
+    KNOWN_WITHIN,
+    "jackknife over folds after widening (CV+, Barber and others, Annals of Statistics 49, 2021)",
+)
 BOUNDED = Level(
     "largest distance of a stress simulation from the middle of the training range, in half ranges",
     5.0,
@@ -61,7 +68,7 @@ TRUE = Level(
     "three standard deviations of chance with 225 samples",
 )
 TESTED = Level("largest test error over V", FAR_ABOVE_V, "0.83 to 2.3 in 12 honest searches")
-LEVELS = (EXPLAINED, AGREEMENT, BOUNDED, ALARMS, REPEATED, HONEST, TRUE, TESTED)
+LEVELS = (EXPLAINED, AGREEMENT, COVERAGE, BOUNDED, ALARMS, REPEATED, HONEST, TRUE, TESTED)
 """All levels of the verdict; `docs/design/model-to-use.md` has the same table."""
 
 
@@ -87,12 +94,12 @@ def usability(view: SearchView) -> Usability | None:
         findings.sort(key=lambda one: not one.grave)
         kind = "not usable" if findings[0].grave else "doubtful"
         return Usability(kind, tuple(one.sentence for one in findings))
+    if view.validated or _controls(view):
+        return Usability("usable", ())
     if view.refitted is None:
         return Usability("not validated", ("The search is not finished.",))
-    if not view.validated and not _controls(view):
-        command = f"asia validate {view.started.run}"
-        return Usability("not validated", (f"Nothing speaks against it so far: run {command}.",))
-    return Usability("usable", ())
+    command = f"asia validate {view.started.run}"
+    return Usability("not validated", (f"Nothing speaks against it so far: run {command}.",))
 
 
 @dataclass(frozen=True)
