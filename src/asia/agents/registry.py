@@ -3,7 +3,7 @@
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import cast
@@ -39,22 +39,38 @@ class AgentRow:
 
     reads_notes: bool = True
     """Whether notes of `asia steer` change its proposals."""
+    writes_code: bool = True
+    """Whether it writes candidates, which can print the training records; the others choose from
+    the model library."""
 
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
-    AgentRow("expert", "rules of an experienced engineer, without a language model", ExpertAgent),
-    AgentRow("random", "draws from the model library", RandomAgent, reads_notes=False),
+    AgentRow(
+        "expert",
+        "rules of an experienced engineer, without a language model",
+        ExpertAgent,
+        writes_code=False,
+    ),
+    AgentRow(
+        "random",
+        "draws from the model library",
+        RandomAgent,
+        reads_notes=False,
+        writes_code=False,
+    ),
     AgentRow(
         "random-paper",
         "draws from the paper's space",
         partial(RandomAgent, "paper"),
         reads_notes=False,
+        writes_code=False,
     ),
     AgentRow(
         "bayes",
         "estimates where the library is best (Parzen estimator)",
         BayesAgent,
         reads_notes=False,
+        writes_code=False,
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
     AgentRow("workspace", "candidates that are submitted from a folder"),
@@ -176,6 +192,13 @@ def reads_notes(started: Started) -> bool:
     deaf = {row.name for row in AGENT_ROWS if not row.reads_notes}
     names = [leg.agent for leg in started.legs] or [started.agent]
     return not deaf.issuperset(names)
+
+
+def can_read_records(names: Iterable[str]) -> bool:
+    """Return whether one of these agents can read the training records, so that V alone is no
+    evidence: all that write candidates, also those that are not built in."""
+    library = {row.name for row in AGENT_ROWS if not row.writes_code}
+    return not library.issuperset(names)
 
 
 def packages_of(name: str) -> tuple[str, ...]:

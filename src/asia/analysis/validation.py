@@ -52,7 +52,7 @@ from asia.ledger.evidence import findings_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.view import Experiment
 from asia.problem.check import responses
-from asia.problem.folds import Block, Case, whole
+from asia.problem.folds import Block, Case, past_outputs, whole
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
 from asia.search.run import LOCK, make_evaluator
@@ -188,17 +188,17 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     each = max(1, 24 // len(long))
     found: list[Block] = []
     for block in long:
-        y = filled(block.y)
         for at in np.linspace(past, len(block.y) - _AHEAD, each).astype(int).tolist():
+            ahead, before = block.y[at : at + _AHEAD], block.y[:at]
+            if np.isnan(ahead).all(axis=0).any() or np.isnan(before).all(axis=0).any():
+                continue
             case = replace(
                 block.case,
                 past_u=block.case.u[at - given.past_inputs : at],
-                past_y=y[at - given.past_outputs : at],
+                past_y=past_outputs(block.y, at, given.past_outputs, block.case.name),
                 u=block.case.u[at : at + _AHEAD],
             )
-            ahead = block.y[at : at + _AHEAD]
-            if not np.isnan(ahead).all(axis=0).any():
-                found.append(Block(case, ahead, 0, block.start + at))
+            found.append(Block(case, ahead, 0, block.start + at))
     return found
 
 

@@ -15,7 +15,7 @@ from asia._api import run as search_for_model
 from asia._text import say
 from asia.agents.view import Agent
 from asia.data.arrays import name_signals, one_a_record, read_arrays
-from asia.data.trajectory import Array, Signal, filled
+from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 from asia.export.linear import linearize
 from asia.export.pipeline import Exported
@@ -27,6 +27,7 @@ from asia.ledger.run import Run, find_run, model_to_use, open_run
 from asia.ledger.text import error_value
 from asia.ledger.verdict import Usability, usability
 from asia.ledger.view import SearchView
+from asia.problem.folds import past_outputs
 from asia.problem.load import load_lock
 from asia.problem.plant import plant_file
 from asia.problem.problem import Problem
@@ -236,19 +237,19 @@ class SystemIdentifier:
         if horizon < 1:
             raise UserError(f"horizon is {horizon}, expected at least 1 sample")
         found = np.full((len(y), ny), np.nan)
-        starts = range(rule.past, len(y) - horizon + 1)
-
-        def past_outputs(k: int) -> Array:
-            """The outputs before sample k; where one was not measured, from samples before k."""
-            window = y[k - rule.past_outputs : k]
-            if np.isnan(window).any():
-                return filled(y[:k])[k - rule.past_outputs :]
-            return window
+        never = np.logical_and.accumulate(np.isnan(y)).any(axis=1)  # By this sample.
+        first = max(rule.past, int(never.sum()) + 1 if rule.past_outputs else 0)
+        starts = range(first, len(y) - horizon + 1)
 
         for first in range(0, len(starts), 4096):
             part = starts[first : first + 4096]
             cases = [
-                (u[k - rule.past_inputs : k], past_outputs(k), u[k : k + horizon]) for k in part
+                (
+                    u[k - rule.past_inputs : k],
+                    past_outputs(y, k, rule.past_outputs, "y"),
+                    u[k : k + horizon],
+                )
+                for k in part
             ]
             ends = simulate_cases(self._opened.directory, cases, self.model)
             found[[k + horizon - 1 for k in part]] = [end[-1] for end in ends]
@@ -274,7 +275,7 @@ class SystemIdentifier:
         cases = [
             (
                 r.u[rule.past - rule.past_inputs : rule.past],
-                r.y[rule.past - rule.past_outputs : rule.past],
+                past_outputs(r.measured_y, rule.past, rule.past_outputs, r.name),
                 r.u[rule.past :],
             )
             for r in records

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, get_args
 
 from asia._plugins import parts
-from asia.agents.registry import packages_of
+from asia.agents.registry import can_read_records, packages_of
 from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
@@ -43,6 +43,7 @@ from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
 from asia.problem.folds import Fold, fold_names, make_folds
+from asia.problem.held_back import GUARD_SHARE
 from asia.problem.load import with_models
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
@@ -129,6 +130,17 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
                 )
 
 
+def guard_share(agents: Iterable[str], wanted: bool | None) -> float | None:
+    """Return the share of the training records to hold back as guard records; None for none.
+
+    Args:
+        agents: names of the agents that propose.
+        wanted: choice of the user; None to hold some back where an agent can read the rest.
+    """
+    held = can_read_records(agents) if wanted is None else wanted
+    return GUARD_SHARE if held else None
+
+
 LOCK = "problem.lock.toml"
 # Agents that know no controllers.
 _MODELS_ONLY = ("random", "random-paper", "bayes", "leading", "workspace")
@@ -194,7 +206,8 @@ def prepare(
             sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
-    for one in (agent_name, *(leg.agent for leg in legs)):
+    names = [leg.agent for leg in legs] or [agent_name]
+    for one in (agent_name, *names):
         if problem.control is not None and one in _MODELS_ONLY:
             raise UserError(
                 f"agent {one} proposes models, and '{problem.name}' asks for a controller: use "
@@ -266,7 +279,7 @@ def prepare(
         retests=0 if rule.ladder is not None else budget.retests,
         parallel=parallel,
         stop_folds=stop_folds,
-        literal_check=True,
+        gate=problem.control is None and can_read_records(names),
         retest_limit=RETEST_LIMIT,
     )
     return Prepared(problem, directory, lock, started, resumes)

@@ -178,10 +178,10 @@ def judged_as_without_the_ladder(
     view: SearchView,
     first: Evaluation | None = None,
     over: float | None = None,
-    check_literals: object = None,
+    confirm: object = None,
 ) -> Decision:
     """Only a would-be winner is doubted."""
-    del first, over, check_literals
+    del first, over, confirm
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
     if decide_by_one_fit(evaluation.outcome, view) != "keep":

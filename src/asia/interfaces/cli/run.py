@@ -24,6 +24,7 @@ from asia.interfaces.cli.options import (
     PREFIX,
     CommandOptions,
     EngineOptions,
+    GuardRecords,
     Json,
     LlmOptions,
     ModelOptions,
@@ -66,7 +67,11 @@ from asia.ledger.events import (
     Refitted,
 )
 from asia.ledger.evidence import identified, incumbent_threshold
+<<<<<<< HEAD
 from asia.ledger.run import control, open_run
+=======
+from asia.ledger.run import alarms, control, open_run, unguarded
+>>>>>>> main
 from asia.ledger.text import (
     control_text,
     error_value,
@@ -114,6 +119,7 @@ def run(
             help="Send the search to mlflow, trackio, an installed sink or module:Name; repeatable."
         ),
     ] = None,
+    guard: GuardRecords = None,
     runs: Runs = DEFAULT_RUNS,
     profile: Profile = False,
     json: Json = False,
@@ -127,12 +133,14 @@ def run(
     """
 
     from asia.problem.load import load_problem
+    from asia.search.run import guard_share
 
     options.check()
     driver = make_driver(agent, space, models, llm, command)
     timer = ActivityTimer()
     with timer.activity(Activity.PREPARE):
-        loaded = options.applied(load_problem(problem))
+        agents = [leg.agent for leg in driver.legs] or [driver.name]
+        loaded = options.applied(load_problem(problem, guard_share(agents, guard)))
     search_and_print(
         loaded, driver, options, engine, runs, sink=sink, json=json, profile=profile, timer=timer
     )
@@ -326,6 +334,7 @@ _STYLES = {
     "keep": "bold green",
     "discard": "dim",
     "inconclusive": "cyan",
+    "unconfirmed": "yellow",
     "crash": "red",
     "timeout": "yellow",
 }
@@ -540,6 +549,8 @@ class TextDisplay:
         """Print the winner and the evidence for its quality."""
         for words in alarms(view):
             self._print(f"ALARM    {words}", style="bold red")
+        if words := unguarded(view):
+            self._print(f"NOTE     {words}", style="bold yellow")
         best = view.best
         if best is None or best.score is None:
             self._print("best     none: every candidate failed")

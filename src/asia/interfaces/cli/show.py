@@ -24,12 +24,12 @@ from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.ledger.evidence import evidence_of, identified, settings_of_run
 from asia.ledger.run import Run, open_run
 from asia.ledger.text import (
+    confirmation_text,
     describe_result,
     error_value,
     evidence_lines,
     identified_lines,
     identified_object,
-    literal_words,
     phase_text,
 )
 from asia.ledger.view import Experiment
@@ -160,8 +160,8 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if r is None:
         return
     row("decision", r.status)
-    if r.literals is not None:
-        row("literals", literal_words(r.literals))
+    if r.confirmation is not None:
+        row("confirmation", confirmation_text(r.confirmation))
     refitted = view.refitted
     if refitted is not None and refitted.experiment != experiment.number:
         refitted = None

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from asia.literals import equations_as_code
 
 from asia.agents.library.pages import families_page
 from asia.candidate import check_source
 from asia.interfaces.workspace.program import Confinement, models_page, program
 from asia.judge.evaluation.findings import search_context
-from asia.literals import equations_as_code
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts
