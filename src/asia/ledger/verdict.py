@@ -282,6 +282,8 @@ def _honesty(view: SearchView) -> _Findings:
         return
     again = view.refitted.again if view.refitted is not None else None
     errors = [f.diagnostics.train_error for f in best.result.folds] if best.result else []
+    if words := unguarded(view):
+        yield _Finding(words)
     if start.isolation == "process":
         yield _Finding("Candidates ran without isolation and could have read the held-out data.")
     if start.early_stopping == "validation":
@@ -307,9 +309,20 @@ def stress_text(test: StressTest) -> str:
     )
 
 
+def unguarded(view: SearchView) -> str:
+    """Return why V alone stands for the result of a search; "" where it is evidence, or where
+    guard records confirm it."""
+    if not view.started.gate or view.started.guard_digest is not None:
+        return ""
+    return (
+        "V alone proves little here: the agent could read the training records, and no guard "
+        "records are held back to confirm it. Record more, or name some in data.guard."
+    )
+
+
 def alarms(view: SearchView) -> tuple[str, ...]:
-    """Return what is said before everything else: a test error far above V, and a V that no model
-    can have."""
+    """Return what is said before everything else: a test error far above V, a gain that the guard
+    records contradict, and a V that no model can have."""
     found: list[str] = []
     best = view.best
     if best is None or best.score is None:
@@ -323,6 +336,14 @@ def alarms(view: SearchView) -> tuple[str, ...]:
                 f"the test error is {error / value:.3g} times V, far more than in honest searches "
                 f"that went well ({FAR_ABOVE_V:g} at most): V is no measure of this model"
             )
+    total = view.looks[-1].total if view.looks else None
+    if total is not None and total.guard is not None and total.contradicted:
+        since = f"since #{total.since:02d}" if total.since else "from the training mean"
+        found.append(
+            f"V fell by {total.gain:.0%} {since}, the error on the guard records by "
+            f"{total.guard.value:.0%} (at most {total.guard.high:.0%}): V is no measure of this "
+            "model"
+        )
     if view.truth is not None and view.below_truth(value):
         found.append(
             f"V {value:.4g} of #{best.number:02d} is below that of the simulated truth, "

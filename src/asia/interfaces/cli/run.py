@@ -67,11 +67,7 @@ from asia.ledger.events import (
     Refitted,
 )
 from asia.ledger.evidence import identified, incumbent_threshold
-<<<<<<< HEAD
 from asia.ledger.run import control, open_run
-=======
-from asia.ledger.run import alarms, control, open_run, unguarded
->>>>>>> main
 from asia.ledger.text import (
     control_text,
     error_value,
@@ -81,7 +77,7 @@ from asia.ledger.text import (
     seed_mean_words,
     threshold_text,
 )
-from asia.ledger.verdict import alarms
+from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric
 

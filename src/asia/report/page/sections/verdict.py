@@ -10,12 +10,8 @@ from asia.judge.evaluation.references import CONTROLLERS
 from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
-<<<<<<< HEAD
 from asia.ledger.run import model_to_use, tested_model
-from asia.ledger.verdict import alarms, usability
-=======
-from asia.ledger.run import alarms, model_to_use, tested_model, unguarded, usability
->>>>>>> main
+from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
