@@ -59,7 +59,7 @@ class Fitted:
 def fitted(problem: Problem, test: Sequence[Trajectory], source: str) -> Fitted:
     """Fit a candidate to each fold."""
     space: dict[str, Any] = {}
-    exec(source, space)  # noqa: S102 a candidate of this file
+    exec(source, space)
     fit: Callable[..., Any] = space["fit"]
     folds, rule = make_folds(problem.train, problem.protocol), problem.protocol
     blocks = whole(test, rule)

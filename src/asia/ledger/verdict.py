@@ -260,7 +260,7 @@ def _agreement(view: SearchView) -> _Findings:
     if refitted is not None and refitted.use == "stack":
         return  # A mean of candidates: their folds are judged together.
     seeds, value = best.seed_values, best.score.value
-    if seeds and value > 0.0:
+    if len(seeds) > 1 and value > 0.0:
         least = 1.0 - (1.0 - float(np.nanmean(share))) * (max(seeds) / value) ** 2
         if least < AGREEMENT.level:
             yield _Finding(
@@ -292,7 +292,7 @@ def _honesty(view: SearchView) -> _Findings:
         yield _Finding("The agent saw held-out residuals.")
     if again is not None and (again.ratio is None or abs(again.ratio - 1.0) > REPEATED.level):
         yield _Finding("A second fit of the winner failed or gave another error.")
-    if consistency(best.score.value, errors) < HONEST.level:
+    if errors and consistency(best.score.value, errors) < HONEST.level:
         yield _Finding("The error on held-out data is far below that on training data.")
     if best.result is not None and best.result.deadline:
         yield _Finding("The winner's fit reached its deadline, so it depends on the machine.")
