@@ -21,6 +21,7 @@ from asia.judge.scoring.bands import HeldOutErrors, error_sizes
 from asia.judge.scoring.checks.check import Check, Verdict, most_serious, summary
 from asia.judge.scoring.checks.errors import (
     check_bands,
+    check_largest_error,
     check_overfit,
     check_region,
     check_steps_ahead,
@@ -76,6 +77,7 @@ VALIDATION_CHECKS: dict[str, ValidationCheck] = {
     "frequency response": check_frequency_response,
     "poles and static gain": check_responses,
     "ten horizons": check_long_run,
+    "largest error": check_largest_error,
 }
 """The built-in checks, in the order to read them."""
 
@@ -340,7 +342,7 @@ class _Validation:
             for fold, simulated in zip(self.evaluator.data.folds, basis.simulated, strict=True)
             for block, y_hat in zip(fold.held_out, simulated, strict=True)
         ]
-        found = self._simulations(pairs)
+        found = self._simulations(pairs, self.problem.train)
         windows = self.evaluator.data.horizon is not None
         return (
             *self._registered_checks(found),
@@ -363,7 +365,7 @@ class _Validation:
             )
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
         pairs = list(zip(blocks, y_hat, strict=True))
-        found, basis = self._simulations(pairs), self._basis
+        found, basis = self._simulations(pairs, records), self._basis
         windows = self.evaluator.data.horizon is not None
         return (
             *self._registered_checks(found),
@@ -432,12 +434,15 @@ class _Validation:
         outputs = [s.name for s in self.problem.outputs]
         return check_bands(held, independent, outputs, BAND_LEVEL, basis.calibration.withdrawn)
 
-    def _simulations(self, pairs: Sequence[tuple[Block, Array]]) -> SimulatedBlocks:
+    def _simulations(
+        self, pairs: Sequence[tuple[Block, Array]], records: Sequence[Trajectory]
+    ) -> SimulatedBlocks:
         return SimulatedBlocks(
             tuple(SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs),
             tuple(s.name for s in self.problem.inputs),
             tuple(s.name for s in self.problem.outputs),
             self.problem.sampling_time,
+            tuple(r.name for r in records),
         )
 
     def _registered_checks(self, found: SimulatedBlocks) -> tuple[Check, ...]:

@@ -15,7 +15,7 @@ from asia._api import run as search_for_model
 from asia._text import say
 from asia.agents.view import Agent
 from asia.data.arrays import name_signals, one_a_record, read_arrays
-from asia.data.trajectory import Array, Signal
+from asia.data.trajectory import Array, Signal, real_numbers
 from asia.errors import UserError
 from asia.export.linear import linearize
 from asia.export.pipeline import Exported
@@ -192,8 +192,8 @@ class SystemIdentifier:
             plant=self.plant,
         )
         if self.progress:
-            for warning in problem.warnings:
-                say(warning)
+            for text in (*problem.readings, *problem.warnings):
+                say(text)
         self.run_ = search_for_model(
             problem,
             agent=self.agent,
@@ -417,7 +417,7 @@ class SystemIdentifier:
         settings = (*given, self.symmetry, self.description, *plant, *times)
         digest = hashlib.sha256(repr(settings).encode())
         for record in records:
-            array = np.asarray(record, dtype=np.float64)
+            array = real_numbers(record, "a record")
             digest.update(repr(array.shape).encode() + array.astype("<f8").tobytes())
         return Path(self.runs) / "problems" / f"records-{digest.hexdigest()[:8]}"
 
@@ -450,10 +450,7 @@ def _parameters() -> list[str]:
 
 def _table(values: Any, channels: int, name: str) -> Array:
     """(T, channels). Raises UserError for another shape."""
-    try:
-        found = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{name} cannot be converted to numbers: {error}") from None
+    found = real_numbers(values, name)
     found = found[:, None] if found.ndim == 1 else found
     if found.ndim != 2 or found.shape[1] != channels:
         raise UserError(f"{name} has shape {np.shape(values)}, expected (samples, {channels})")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia._text import one_line
-from asia.data.trajectory import Array, filled
+from asia.data.trajectory import Array, filled, real_numbers
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
@@ -289,7 +289,8 @@ def _block(
     ):
         if np.shape(array) != shape:
             raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
-    before, past, after = (np.asarray(a, np.float64) for a in (past_u, past_y, u))
+    pairs = (("past_u", past_u), ("past_y", past_y), ("u", u))
+    before, past, after = (real_numbers(array, name) for name, array in pairs)
     if np.isnan(past).all(axis=0).any() and len(past):
         raise UserError("past_y has an output without a measured sample: give a later start")
     past = filled(past)

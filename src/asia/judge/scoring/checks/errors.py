@@ -8,7 +8,12 @@ from scipy.signal import lfilter
 from asia.data.trajectory import Array
 from asia.judge.scoring.bands import Region
 from asia.judge.scoring.checks.check import ALARM_RATE, Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.validation_data import SimulatedBlocks, listed, percent
+from asia.judge.scoring.checks.validation_data import (
+    SimulatedBlocks,
+    ValidationData,
+    listed,
+    percent,
+)
 
 # Errors some steps after a start from measured samples, against holding the last output.
 
@@ -220,3 +225,37 @@ def _verdict(value: float, doubt: float, fail: float) -> Verdict:
     if value > fail:
         return Verdict.FAIL
     return Verdict.DOUBT if value > doubt else Verdict.PASS
+
+
+# The sample that carries most of the error.
+
+
+_ALONE = 0.2
+"""Share of the squared error that one sample of many may carry."""
+
+
+def check_largest_error(data: ValidationData) -> Check:
+    """Name the sample with the largest error by record, row and time, with its share of the squared
+    error of all outputs."""
+    found = data.simulations
+    errors = [((b.y - b.y_hat) / found.deviation) ** 2 for b in found.blocks]
+    total = float(sum(np.nansum(e) for e in errors))
+    if not total > 0 or not np.isfinite(total):
+        return Check("largest error", Verdict.ABSENT, "does not apply: there is no error")
+    k = int(np.argmax([np.nanmax(e, initial=0.0) for e in errors]))
+    block, error = found.blocks[k], np.nan_to_num(errors[k])
+    row, output = (int(i) for i in np.unravel_index(int(np.argmax(error)), error.shape))
+    share = float(error[row, output]) / total
+    number = block.start + row
+    name = found.records[block.record] if block.record < len(found.records) else block.record + 1
+    sentence = (
+        f"row {number + 1} of record '{name}' ({number * found.sampling_time:g} s) carries "
+        f"{percent(share)} of the squared error, at output {found.outputs[output]}: measured "
+        f"{block.y[row, output]:.4g}, simulated {block.y_hat[row, output]:.4g}"
+    )
+    many = sum(e.size for e in errors) >= 100
+    if not many or share < _ALONE:
+        return Check("largest error", Verdict.SHOWN, sentence)
+    return Check(
+        "largest error", Verdict.DOUBT, f"{sentence}; look at this sample first", None, share
+    )
