@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from asia.data.trajectory import Array
 from asia.judge.scoring.bands import Region
-from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
+from asia.judge.scoring.checks.check import ALARM_RATE, Cause, Check, CheckCurve, Verdict
 from asia.judge.scoring.checks.validation_data import (
     SimulatedBlocks,
     ValidationData,
@@ -162,20 +162,36 @@ def _corrected(found: SimulatedBlocks) -> float | None:
 # Check of the coverage of the output bands.
 
 
-# How far the share may be below the level: on records of the same kind it hardly ever is.
-_BANDED_DOUBT, _BANDED_FAIL = 0.1, 0.4
 _MOST_NAMED = 3
 
 
-def check_bands(held: Array, outputs: Sequence[str], level: float) -> Check:
-    """held: of each output (ny,), the share of the measured samples within the bands."""
+def check_bands(
+    held: Array, independent: Array, outputs: Sequence[str], level: float, withdrawn: Sequence[str]
+) -> Check:
+    """Check the share of the samples that bands hold which these samples did not make.
+
+    Bands that hold their level hold less of few independent samples by chance: the binomial
+    distribution, for as many outputs as there are (Bonferroni).
+
+    Args:
+        held: of each output (ny,), the share of the measured samples within the bands
+        independent: number of independent errors of each output (ny,)
+        withdrawn: the reason why there is no band, one an output; "" where there is one
+    """
+    from scipy.stats import binom  # only where statistics are asked for
+
+    for name, reason in zip(outputs, withdrawn, strict=True):
+        if reason:
+            sentence = f"the output bands of {name} are withdrawn: {reason}"
+            return Check("output bands", Verdict.FAIL, sentence, weight=1.0 - level)
     each = sorted(zip(held.tolist(), outputs, strict=True))
     words = ", ".join(f"{name} {percent(share)}" for share, name in each[:_MOST_NAMED])
     rest = " at least" if len(each) > _MOST_NAMED else ""
     sentence = f"{percent(level)} output bands contained{rest}: {words}"
-    short = level - each[0][0]
-    verdict = _verdict(short, _BANDED_DOUBT, _BANDED_FAIL)
-    return Check("output bands", verdict, sentence, weight=max(0.0, short))
+    count = np.maximum(np.round(independent), 1.0)
+    chance = np.asarray(binom.cdf(np.round(held * count), count, level))
+    verdict = Verdict.FAIL if chance.min() < ALARM_RATE / len(outputs) else Verdict.PASS
+    return Check("output bands", verdict, sentence, weight=max(0.0, level - each[0][0]))
 
 
 def no_bands(reason: str) -> Check:
