@@ -8,13 +8,13 @@ import ast
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 import asia
+from asia._plugins import is_installed
 from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
 from asia.data.frequency import FrequencyRecord
@@ -254,7 +254,7 @@ def _imports(source: str) -> Imports:
 def installed_libraries() -> tuple[str, ...]:
     """Names of these libraries that are installed here, as agents and users read them."""
     libraries = ("numpy", "scipy", "jax", "equinox", "optax")
-    return tuple(name for name in libraries if find_spec(name) is not None)
+    return tuple(name for name in libraries if is_installed(name))
 
 
 # Check and identify the source of a candidate before anything of it runs.

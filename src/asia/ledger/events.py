@@ -722,7 +722,7 @@ class Unsealing:
     experiment: int
     test_digest: str
     opened_before: tuple[str, ...]
-    """Other runs in the same folder that had opened the same test before."""
+    """Other runs known to the user that had opened the same test before, with the time."""
     process_consent: bool = False
     """True if the user agreed although candidates ran at level process and could read it."""
     event: Literal["unsealing"] = "unsealing"

@@ -135,7 +135,8 @@ class Gate:
         values: list[float] = []
         random = np.random.default_rng(self.evaluator.models.check_seed(source, "sequential"))
         for place in random.permutation(len(folds)).tolist():
-            result = self.evaluator.fit_fold(source, place, folds[place].attempt)
+            with self.evaluator.workers.fresh_workers():
+                result = self.evaluator.fit_fold(source, place, folds[place].attempt)
             if isinstance(result, Failure):
                 raise CandidateError(result.reason, result.detail)
             values.append(result.score.value)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import math
 import platform
 import re
@@ -15,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Final, get_args
 
-from asia._plugins import parts
+from asia._plugins import parts, version_of
 from asia.agents.registry import can_read_records, packages_of
 from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
@@ -39,6 +38,7 @@ from asia.ledger.chain import Chain, write_whole
 from asia.ledger.events import RESUMABLE, Extended, Leg, Resumed, Started
 from asia.ledger.exports import write_exports
 from asia.ledger.folder import check_run_folder
+from asia.ledger.looks import copy_words, look_by_copy
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
@@ -67,7 +67,7 @@ def environment(*agents: str) -> dict[str, str]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         **{part.package: part.version for part in parts()},
-        **{name: importlib.metadata.version(name) for name in names},
+        **{name: version_of(name) for name in names},
         "asia.models": library_digest(),
     }
 
@@ -308,6 +308,13 @@ def search(
         view = chain.view
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
+        limits = prepared.started.experiments, prepared.started.hours
+        goes_on = not view.complete or limits != (view.budget, view.hours)
+        if goes_on and (copy := look_by_copy(directory, view)) is not None:
+            raise UserError(
+                f"{copy_words(view.started.run, copy)}, which ended the search: choose another "
+                "--name"
+            )
         level = Isolation(prepared.started.isolation)
         evaluator = make_evaluator(problem, view, executor, isolation=level, controllers=True)
         evaluator.workers.on_loss = RunningLosses(directory)
@@ -325,9 +332,8 @@ def search(
         # A search that was killed behind its last event has not written them.
         write_exports(directory, view)
         on_start(view)
-        expected = prepared.started
-        if (expected.experiments, expected.hours) != (view.budget, view.hours):
-            loop.record(Extended(expected.experiments, expected.hours))
+        if limits != (view.budget, view.hours):
+            loop.record(Extended(*limits))
         stopped = loop.view.stopped
         if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
             loop.record(Resumed())

@@ -15,6 +15,7 @@ from asia.interfaces.cli.output import Terminal, again_words, print_alarms, use_
 from asia.interfaces.cli.validate import confirmation_lines
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.ledger.evidence import evidence_of, identified, settings_of_run
+from asia.ledger.looks import seal_words
 from asia.ledger.run import Run, open_run
 from asia.ledger.text import (
     confirmation_text,
@@ -77,6 +78,8 @@ def show(
         return
     console = wide_console()
     print_alarms(view)
+    if said := seal_words(run.directory, view):
+        say(said)
     if len(shown) > 1:
         for e in shown:
             say(f"#{e.number:02d} {e.proposed.title}: {describe_result(e, view)}")
