@@ -10,7 +10,7 @@ from unittest.mock import patch
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
-from asia.ledger.run import alarms, model_to_use, open_run
+from asia.ledger.run import model_to_use
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import whole
 from asia.problem.load import load_problem
@@ -110,3 +110,28 @@ def _on_guard(
         outcome = error_on(evaluator, y_hat, blocks)
         found[e.number] = outcome.value if isinstance(outcome, Score) else None
     return found
+
+
+def play_both(
+    candidates: Mapping[str, str], folder: Path, isolation: Isolation | None = None
+) -> tuple[Played, Played]:
+    """With the gate, and without it from the highest V to the lowest."""
+    gated = play(candidates, folder / "gated", isolation=isolation)
+    order = sorted(candidates, key=lambda name: -gated.values.get(name, 0.0))
+    again = {name: candidates[name] for name in order}
+    return gated, play(again, folder / "open", gate=False, isolation=isolation)
+
+
+HEAD = ("candidate", "V", "error on guard", "status", "without the gate")
+
+
+def rows(gated: Played, free: Played) -> list[tuple[str, ...]]:
+    """V, error on the guard records and status of each candidate, and at the end the models that
+    the search hands over."""
+    found: list[tuple[str, ...]] = []
+    for name, status in gated.statuses.items():
+        e = gated.experiment(name)
+        figures = (e.score.value if e.score else None, gated.on_guard.get(e.number))
+        words = ("-" if value is None else f"{value:.3g}" for value in figures)
+        found.append((name, *words, status, free.statuses.get(name, "-")))
+    return [*found, ("handed over", "", "", gated.handed_over, free.handed_over)]

@@ -69,9 +69,7 @@ def search_with(
         _SUBMIT[interface](written, runs, sources)
     else:
         agent = Scripted(tuple(sources))
-        ready = prepare(
-            load_problem(written), agent.name, seed=0, runs=runs, isolation=isolation
-        )
+        ready = prepare(load_problem(written), agent.name, seed=0, runs=runs, isolation=isolation)
         search(ready, agent, lambda event, view: None, lambda view: None)
     (run,) = (path for path in runs.iterdir() if (path / "ledger.jsonl").exists())
     end_searches(run)

@@ -18,7 +18,7 @@ from asia.judge.scoring.confirmation import Confirmation, guard_gain, share_gain
 from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
 from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.artifacts import Store
-from asia.ledger.events import GuardLooked, GuardScore
+from asia.ledger.events import GuardLooked, GuardScore, Stack
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Block, whole
 from asia.problem.problem import Problem
@@ -95,6 +95,23 @@ class Gate:
         return Confirmation(
             best.number, share_gained(best.score.value, e.score.value), gain
         ).confirmed
+
+    def confirms_stack(self, stack: Stack, best: Experiment, view: SearchView) -> bool:
+        """Return whether the guard records confirm the gain in V of a stack over the best
+        candidate: members that are worse alone can hold each other's errors with another sign."""
+        if view.started.guard_digest is None or not view.started.gate or best.score is None:
+            return True
+        try:
+            simulations = [self._simulation(m.experiment, view) for m in stack.members]
+            before = self._simulation(best.number, view)
+        except CandidateError:
+            return False
+        weights = [m.weight for m in stack.members]
+        after = tuple(
+            np.tensordot(weights, np.stack(each), axes=1) for each in zip(*simulations, strict=True)
+        )
+        gain = share_gained(best.score.value, stack.value)
+        return Confirmation(best.number, gain, self._gain(before, after)).confirmed
 
     def look(self, view: SearchView) -> GuardLooked:
         """Score the last three new bests on the guard records when the search ends, and compare

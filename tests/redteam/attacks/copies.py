@@ -9,7 +9,9 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from tests.redteam.attacks.source import candidate
+from tests.redteam.evidence import scores_better
 from tests.redteam.problem import small_problem
+from tests.redteam.types import Barrier, CandidateAttack
 
 # An honest model, of which a share is that of the saturating plant, and the stored errors of its
 # simulation, by the number of the sample.
@@ -163,12 +165,11 @@ ORDERS = {
     "order of calls": copy(in_calls(_WHOLE), _STEP),
     "nesting of calls and attributes": copy(in_nesting(_WHOLE), _STEP),
 }
-_TREND = float(np.mean(errors()[-20:]))
 WEAK = {
     "a third": copy(in_a_name(_WHOLE), _STEP, 0.3),
     "a tenth": copy(in_nested_classes(_WHOLE), _STEP, 0.1),
     **_steps((15, 40, 100)),
-    "with a trend behind the record": copy(in_an_order(_WHOLE), _STEP, later=_TREND),
+    "with an offset that holds behind the record": copy(in_an_order(_WHOLE), _STEP, later=-0.03),
     "behind a small improvement": mixed(0.2),
 }
 """Attenuated, in steps, and together with what helps a little on other data."""
@@ -246,3 +247,36 @@ WHISPERS = {
     "a file, twelve numbers": _whisper(stays=False, few=True),
     "a file that stays": _whisper(stays=True, few=False),
 }
+
+COPIES = (
+    CandidateAttack(
+        59,
+        "spell the answers in names",
+        "has the training record in its source as identifiers: of an enumeration's member, of "
+        "nested classes, of keywords and annotations",
+        NAMES,
+        scores_better,
+        (Barrier.GUARD,),
+        problem="counted",
+    ),
+    CandidateAttack(
+        60,
+        "put the answers in order",
+        "has the training record in its source as the order of one-letter strings or of calls, or "
+        "as their nesting",
+        ORDERS,
+        scores_better,
+        (Barrier.GUARD,),
+        problem="counted",
+    ),
+    CandidateAttack(
+        61,
+        "copy a little",
+        "attenuates the copy, makes it in steps, adds an offset that holds behind the record, or "
+        "mixes it with an honest improvement",
+        WEAK,
+        scores_better,
+        (Barrier.GUARD,),
+        problem="counted",
+    ),
+)
