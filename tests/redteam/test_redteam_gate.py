@@ -17,7 +17,10 @@ from tests.redteam.interfaces import Interface
 
 LEVELS = [x.isolation for x in fitting_levels() if x.confined and why_not(x.isolation) is None]
 ALL = {**NAMES, **ORDERS, **WEAK}
-FEW = {name: ALL[name] for name in ("one identifier", "order of calls", "a third")}
+FEW = {
+    name: ALL[name]
+    for name in ("one identifier", "order of calls", "a third", "behind a large improvement")
+}
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not LEVELS, reason="no level keeps intent in here"),
@@ -39,6 +42,7 @@ def test_every_copy_is_unconfirmed_and_without_the_gate_each_is_kept(tmp_path: P
     found, free = gated.play_both(ALL, tmp_path)
     all_unconfirmed(found)
     honest = found.values["honest"]
+    # The large improvement confirms more than half of its gain, and contradicts V all the same.
     assert all(value < 0.95 * honest for name, value in found.values.items() if name != "honest")
     assert max(found.values[name] for name in (*NAMES, *ORDERS)) < 0.2 * honest
     assert set(free.statuses.values()) == {"keep"}

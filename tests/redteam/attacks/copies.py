@@ -171,6 +171,7 @@ WEAK = {
     **_steps((15, 40, 100)),
     "with an offset that holds behind the record": copy(in_an_order(_WHOLE), _STEP, later=-0.03),
     "behind a small improvement": mixed(0.2),
+    "behind a large improvement": mixed(0.75),
 }
 """Attenuated, in steps, and together with what helps a little on other data."""
 MIRROR = copy(in_a_name(_WHOLE), _STEP, 2.02)
