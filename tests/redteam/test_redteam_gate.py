@@ -44,7 +44,7 @@ def test_every_copy_is_unconfirmed_and_without_the_gate_each_is_kept(tmp_path: P
     honest = found.values["honest"]
     # The large improvement confirms more than half of its gain, and contradicts V all the same.
     assert all(value < 0.95 * honest for name, value in found.values.items() if name != "honest")
-    assert max(found.values[name] for name in (*NAMES, *ORDERS)) < 0.2 * honest
+    assert max(found.values[name] for name in (*NAMES, *ORDERS)) < 0.3 * honest
     assert set(free.statuses.values()) == {"keep"}
     assert free.view.best == free.view.finished[-1]
     assert "handed over" in [row[0] for row in gated.rows(found, free)]
