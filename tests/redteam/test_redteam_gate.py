@@ -11,7 +11,7 @@ from asia.judge.sandbox.availability import fitting_levels, why_not
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import model_to_use
 from tests.redteam import gated
-from tests.redteam.attacks.copies import MIRROR, NAMES, ORDERS, WEAK, WHISPERS, improved
+from tests.redteam.attacks.copies import MIRROR, NAMES, ORDERS, WEAK, WHISPERS, improved, mixed
 from tests.redteam.gated import Played
 from tests.redteam.interfaces import Interface
 
@@ -88,6 +88,24 @@ def test_a_stack_with_mirrored_errors_is_not_handed_over(tmp_path: Path, gate: b
     assert use is not None
     assert (use.model == "stack") is not gate
     assert played.members == ({honest.number} if gate else {honest.number, mirror.number})
+
+
+def test_small_steps_take_v_no_further_than_three_times(tmp_path: Path):
+    """Each step brings a part of the way to the true model, and a part of the copy."""
+    steps = {f"step {k}": mixed(0.2 * k, 0.3 + 0.15 * k) for k in range(1, 5)}
+    played = gated.play(steps, tmp_path / "run")
+    best, first = played.view.best, played.view.finished[0]
+    assert best is not None
+    guard, honest = played.on_guard[best.number], played.on_guard[first.number]
+    assert guard is not None
+    assert honest is not None
+    apart = guard / honest * played.values["honest"] / best.value
+    assert apart <= 3.0
+    # The last step, with most of the copy, is the one that goes too far.
+    confirmation = played.experiment("step 4").result.confirmation
+    assert confirmation is not None
+    assert confirmation.apart > 3.0
+    assert played.statuses["step 4"] == "unconfirmed"
 
 
 def test_an_honest_improvement_is_kept(tmp_path: Path):
