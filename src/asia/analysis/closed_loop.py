@@ -26,23 +26,22 @@ _LINEAR = frozenset(("stability", "peak gain", "H-infinity norm"))
 
 
 def closed_loop(
-    plant: LoweredModel, controller: SampledController, *, late: bool, limited: bool
+    plant: LoweredModel, controller: SampledController, *, limited: bool
 ) -> LoweredModel:
     """Connect a plant with one input and one output to a controller.
 
     Args:
         plant: lowered model
         controller: PID or LQR
-        late: whether the controller has the output of the sample before
         limited: whether u stays within the limits and the rate of the controller
 
     Returns:
-        model with inputs r, load, noise; states of the plant, of the controller, last u and y;
+        model with inputs r, load, noise; states of the plant, of the controller, last u;
         outputs y, u, and the change of u in a sample if the controller has a rate
     """
     n, m = len(controller.c), len(plant.states)
     own = ((n,),) if n else ()
-    build = Builder((*plant.states, *own, (2,), (3,)))
+    build = Builder((*plant.states, *own, (1,), (3,)))
     memory, inputs = m + len(own), m + len(own) + 1
 
     def part(value: int, k: int) -> int:
@@ -57,11 +56,8 @@ def closed_loop(
         product = build.add("matmul", (build.constant(matrix), column))
         return build.add("reshape", (product,), (len(matrix),))
 
-    last, before = part(memory, 0), part(memory, 1)
-    states = range(m)
-    seen = before
-    if not late:
-        (seen,) = _inlined(build, plant, [*states, last], 1)
+    last, states = memory, range(m)
+    (seen,) = _inlined(build, plant, [*states, last], 1)
     dr = build.add("sub", (part(inputs, 0), number(controller.y0)))
     measured = build.add("add", (seen, part(inputs, 2)))
     dy = build.add("sub", (measured, number(controller.y0)))
@@ -81,7 +77,7 @@ def closed_loop(
     if n:
         du = build.add("sub", (u, number(controller.u0)))
         after.append(times(np.hstack([controller.a, controller.b]), [*known, du]))
-    after.append(build.add("concat", (u, y), (0,)))
+    after.append(u)
     shown = [y, u]
     if math.isfinite(controller.rate):
         shown.append(build.add("sub", (u, last)))
@@ -102,7 +98,7 @@ def _inlined(
 def loop_start(plant: SimulatedPlant, controller: SampledController) -> Array:
     """State of a closed loop at its operating point."""
     held = np.zeros(len(controller.c))
-    return np.concatenate([plant.starts[0], held, [controller.u0, controller.y0]])
+    return np.concatenate([plant.starts[0], held, [controller.u0]])
 
 
 def certify_loop(
@@ -143,7 +139,7 @@ def certify_loop(
 
         def found(plant: SimulatedPlant, subject: str, y: Array, *, limited: bool) -> Any:
             return certify(
-                closed_loop(plant.lowered[0], controller, late=plant.late, limited=limited), inputs,
+                closed_loop(plant.lowered[0], controller, limited=limited), inputs,
                 loop_start(plant, controller), horizon,
                 {"model": plant.name, "subject": subject, "inputs": facts["inputs"],
                  "outputs": outputs, "assumptions": []},

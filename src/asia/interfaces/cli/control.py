@@ -352,13 +352,9 @@ def loop_of_run(
         numerators, den = same.numerator()
         num = numerators[0][0]
         num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
-        # A controller acts once a sample: half a sample of dead time more, and a whole one where
-        # the output already has the input of its own sample.
-        wait = (dead + 0.5 + bool(model.delay[0, 0] == 0)) * model.sampling_time
-        return Transfer(np.trim_zeros(num, "f"), den, wait)
+        return Transfer(np.trim_zeros(num, "f"), den, dead * model.sampling_time)
 
     plants = [transfer(model) for model in models] if continuous_time else []
-    late = any(model.delay[0, 0] == 0 for model in models)
 
     def step_of(of: LoweredModel) -> PlantStep:
         def step(x: np.ndarray, u: float) -> tuple[float, np.ndarray]:
@@ -372,12 +368,12 @@ def loop_of_run(
     steps = [step_of(model) for model, _ in lowered]
     starts = [place.x for _, place in lowered]
     simulated = [
-        SimulatedPlant(label, [step], [x], late, [of])
+        SimulatedPlant(label, [step], [x], [of])
         for label, step, x, (of, _) in zip(labels, steps, starts, lowered, strict=True)
     ]
     folds = slice(1, 1 + len(point.folds))
     if len(point.folds) > 1:
-        simulated.append(SimulatedPlant("mean of folds", steps[folds], starts[folds], late))
+        simulated.append(SimulatedPlant("mean of folds", steps[folds], starts[folds]))
     y = np.concatenate([record.measured_y[:, 0] for record in found.records])
     u = np.concatenate([record.u[:, 0] for record in found.records])
     noise = float(found.noise[0])
