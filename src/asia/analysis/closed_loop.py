@@ -18,6 +18,7 @@ from asia.analysis.certificate import certify
 from asia.analysis.certificate_check import FORMAT, common_sentences, digest
 from asia.analysis.control import Loop, SampledController, SimulatedPlant
 from asia.data.trajectory import Array
+from asia.lowering.linear import OperatingPoint, split
 from asia.lowering.program import Builder, LoweredModel, inlined
 
 INPUTS = ("r", "load", "noise")
@@ -85,6 +86,23 @@ def closed_loop(
     zeros = [start.constant(np.zeros(shape)) for shape in build.inputs[:-1]]
     step = build.program([build.add("concat", shown, (0,)), *after])
     return LoweredModel(0, 0, 3, len(shown), plant.single, start.program(zeros), step)
+
+
+def single_loop(plant: LoweredModel, at: OperatingPoint, output: int, given: int) -> LoweredModel:
+    """Model of one output and one input, which begins at an operating point and holds the other
+    inputs there."""
+    if plant.nu == plant.ny == 1:
+        return plant
+    build = Builder((*plant.states, (1,)))
+    m = len(plant.states)
+    parts = [build.constant(at.u[:given]), m, build.constant(at.u[given + 1 :])]
+    u = build.add("concat", parts, (0,))
+    y, *after = _inlined(build, plant, [*range(m), u], None)
+    shown = build.add("slice", (y,), (output, output + 1, 1))
+    start = Builder(((0, 1), (0, 1), (1,)))
+    states = [start.constant(one) for one in split(plant, at.x)]
+    step = build.program([shown, *after])
+    return LoweredModel(0, 0, 1, 1, plant.single, start.program(states), step)
 
 
 def _inlined(

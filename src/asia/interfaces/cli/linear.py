@@ -48,8 +48,9 @@ def linear(
     at: Annotated[
         list[str] | None,
         typer.Option(
-            help="Operating point, repeatable: u=2.5 (inputs held), y=9 (outputs to reach), start "
-            "(first training sample); default: the mean inputs."
+            help="Operating point, repeatable: NAME=VALUE of inputs (held, the others at their "
+            "means) or outputs (to reach), separated by commas, or start (first training sample); "
+            "default: the mean inputs."
         ),
     ] = None,
     reduce: Annotated[
