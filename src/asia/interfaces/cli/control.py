@@ -73,7 +73,8 @@ def control(
     at: Annotated[
         str | None,
         typer.Option(
-            help="Operating point of a run, as for asia linear: NAME=VALUE,... of inputs or outputs."
+            help="Operating point of a run, as for asia linear: NAME=VALUE,... of inputs or "
+            "outputs."
         ),
     ] = None,
     input_: Annotated[
