@@ -86,8 +86,9 @@ class FmuTarget:
 step of the master is the sampling time; another step is refused. Set the inputs, read the outputs
 of the sample, do a step. The first output is there before the first step. A master that reads the
 outputs of a sample before it sets its inputs sees a direct effect of the input one step late. The
-parameters `past_u[k,i]` and `past_y[k,j]` (k = 1 the oldest) start the model; their start values are those of a training window. The units hold C sources, and a binary for the
-platform they were made on."""
+parameters `past_u[k,i]` and `past_y[k,j]` (k = 1 the oldest) start the model; their start values
+are those of a training window. The units hold C sources, and a binary for the platform they were
+made on."""
 
     def missing(self) -> str | None:
         """Return a sentence if fmpy, which checks the units, or a C compiler is missing."""
