@@ -9,6 +9,7 @@ from zlib import crc32
 
 import pytest
 
+from asia._files import config_folder
 from asia.judge.evaluation.references import LINEAR
 from tests.compiled import compile_cheaply, kept
 from tests.once import made_once
@@ -99,3 +100,10 @@ def compiled_once(pytestconfig: pytest.Config) -> Iterator[None]:
     """A program that an earlier test or an earlier run compiled is not compiled again."""
     with kept(pytestconfig.rootpath / "build" / "compiled"):
         yield
+
+
+@pytest.fixture(autouse=True)
+def no_looks_of_other_tests() -> Iterator[None]:
+    """Copies of one run are used by many tests, each of which may be the first to open its test."""
+    yield
+    shutil.rmtree(config_folder() / "looks", ignore_errors=True)

@@ -11,16 +11,20 @@ several seeds, and on how many of them the evaluator objects. Candidates run in 
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from asia.assurance.redteam.attacks.source import HONEST, candidate, fill_in
-from asia.assurance.redteam.problem import SmallProblem, small_problem
 from asia.data.trajectory import Trajectory
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.availability import probe
 from asia.judge.scoring.outcome import Score
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.redteam.attacks.source import HONEST, candidate, fill_in
+from tests.redteam.problem import SmallProblem, small_problem
 
 LOOK_AHEAD = """
 def ahead(past_u, past_y, u):

@@ -18,19 +18,13 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from asia.assurance.redteam.arena import (
-    HALVINGS,
-    ScoreOnlySearch,
-    Spoil,
-    forgetful,
-    one_start,
-    turn,
-)
 from asia.candidate import Context
 from asia.data import Array
 from asia.judge.evaluation.results import score_outputs
@@ -40,6 +34,16 @@ from asia.models._least_squares import LevenbergMarquardt
 from asia.problem.folds import Fold, make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.redteam.arena import (
+    HALVINGS,
+    ScoreOnlySearch,
+    Spoil,
+    forgetful,
+    one_start,
+    turn,
+)
 
 Outputs = list[list[Array]]
 AMPLITUDES = (0.03, 0.1, 0.3, 0.6)

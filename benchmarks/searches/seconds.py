@@ -6,6 +6,8 @@ python benchmarks/searches/seconds.py demo tanks --against ../older/.venv/bin/py
 demo: 8 experiments on two_tanks_sim; fold: one grey-box fold of it in a fresh worker; unseal: of
 that search; tanks: 30 experiments on cascaded_tanks; nanodrone: 12 experiments; records: 12
 experiments on three generated single-input records of 2 700 samples; short: on three of 680;
+workspace: six candidates written by hand and two of the library, by an agent that can read the
+records of `short`, with guard records;
 inductor: 10 experiments on a generated record of 10 000 samples, one input, two outputs. tanks and
 nanodrone need the real data (ASIA_DATA_DIR, or a network). With --against every job runs in turns
 with the package of another Python, and the ratio of the medians is printed. V is that of the best
@@ -32,7 +34,9 @@ EXPERIMENTS = {
     "demo": 8, "tanks": 30, "nanodrone": 12, "records": 12, "short": 12, "inductor": 10,
 }  # fmt: skip
 PROBLEMS = {"demo": "two_tanks_sim", "tanks": "cascaded_tanks", "nanodrone": "nanodrone"}
-JOBS = ("demo", "fold", "unseal", "tanks", "nanodrone", "records", "short", "inductor")
+JOBS = (
+    "demo", "fold", "unseal", "tanks", "nanodrone", "records", "short", "inductor", "workspace",
+)  # fmt: skip
 RECORDS, SAMPLING_TIME = 3, 0.01
 SAMPLES = {"records": 2700, "short": 680, "inductor": 10_000}
 # Run by the Python that is measured. The grey-box is the first that the expert proposes.
@@ -59,6 +63,21 @@ begin = time.monotonic()
 data = EvaluationData(fold, problem.train, context, rule)
 found = Evaluator(data, WorkerRunner(level, problem.budget, LocalExecutor(1))).evaluate(source)
 print(time.monotonic() - begin, found.outcome.value)
+"""
+
+# Run by the Python that is measured, with the folder of `searches`, a problem and a place for runs.
+WORKSPACE = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from candidates import CANDIDATES, Scripted
+from asia.problem.load import load_problem
+from asia.search.run import prepare, search
+problem = load_problem(sys.argv[2], 0.15)
+ready = prepare(problem, "scripted", seed=0, runs=Path(sys.argv[3]))
+begin = time.monotonic()
+view = search(ready, Scripted(), lambda event, view: None, lambda view: None)
+print(time.monotonic() - begin, view.best_value)
 """
 
 
@@ -110,6 +129,11 @@ def measured(job: str, python: Path, seed: int) -> Seconds:
         place = Path(name)
         if job == "fold":
             return timed([python, "-c", FOLD], place, own_clock=True)
+        if job == "workspace":
+            problem = write_records(place / "records", SAMPLES["short"])
+            folder = Path(__file__).parent
+            command = [python, "-c", WORKSPACE, folder, problem, place / "runs"]
+            return timed(command, place, own_clock=True)
         problem = PROBLEMS.get(job, PROBLEMS["demo"])
         if job in SAMPLES:
             write = write_inductor if job == "inductor" else write_records

@@ -13,7 +13,7 @@ from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping
-from asia.search.run import prepare, search, with_early_stopping, with_relay_budget
+from asia.search.run import guard_share, prepare, search, with_early_stopping, with_relay_budget
 from asia.search.sinks import OpenSink, open_sinks
 
 
@@ -31,6 +31,7 @@ def run(
     sinks: Sequence[str | OpenSink] = (),
     parallel: int = 1,
     stop_folds: bool = False,
+    guard: bool | None = None,
 ) -> Run:
     """Search for a model, and return the finished run with its view and artifacts.
 
@@ -47,21 +48,24 @@ def run(
             opens one, see `asia.search.sinks.Sink`
         parallel: experiments in flight
         stop_folds: skip the remaining folds of a candidate that is far behind the best
+        guard: hold back 15 % of the training records of a problem that is not loaded yet, to
+            confirm new bests; None to do so where the agent writes candidates
 
     Raises:
         UserError: for anything the caller can correct
     """
-    loaded = problem if isinstance(problem, Problem) else load_problem(problem)
-    if experiments is not None:
-        loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
-    if early_stopping is not None:
-        loaded = with_early_stopping(loaded, early_stopping)
     chosen = (
         choose_agent(agent, space)
         if isinstance(agent, str)
         else NamedAgent(agent, settings_of(agent))
     )
     legs = legs_of(chosen.agent)
+    share = guard_share([leg.agent for leg in legs] or [chosen.agent.name], guard)
+    loaded = problem if isinstance(problem, Problem) else load_problem(problem, share)
+    if experiments is not None:
+        loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
+    if early_stopping is not None:
+        loaded = with_early_stopping(loaded, early_stopping)
     if experiments is None:
         loaded = with_relay_budget(loaded, legs)
     ready = prepare(

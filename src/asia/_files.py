@@ -11,6 +11,9 @@ from pathlib import Path
 
 from asia.errors import UserError
 
+PACKAGE = Path(__file__).parent
+"""Folder of this package, with the files that it brings."""
+
 MOST_BYTES = 4 << 30
 """Largest file that is read at once."""
 

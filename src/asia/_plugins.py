@@ -1,13 +1,19 @@
-"""Parts that installed packages add to ASIA by entry points, and parts named as `module:Name`."""
+"""The only module that imports by name: parts of installed packages, by their entry points; parts
+that the user names as `module:Name`; libraries and families. No name is read from a file."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import Distribution, EntryPoint, distributions
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, LiteralString
 
 from asia.errors import UserError
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution, EntryPoint
 
 GROUPS = (
     "asia.families",
@@ -20,6 +26,37 @@ GROUPS = (
     "asia.validation_checks",
     "asia.commands",
 )
+
+
+def library(name: LiteralString) -> Any:
+    """Import a module whose name is in the source. Raises ImportError."""
+    return import_module(name)
+
+
+def is_installed(name: LiteralString) -> bool:
+    """Return whether a library can be imported, without importing it."""
+    return find_spec(name) is not None
+
+
+def version_of(name: str) -> str:
+    """Return the version of an installed package; "missing" where there is none."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
+
+
+def family_module(package: str, name: str) -> Any:
+    """Import the module of a family of ASIA or of an installed package.
+
+    Raises:
+        UserError: for a package that brings no parts
+    """
+    if package.partition(".")[0] not in ("asia", *_package_names()):
+        raise UserError(f"there is no family {name} in an installed package {package}")
+    return import_module(f"{package}.{name}")
 
 
 @dataclass(frozen=True)
@@ -76,6 +113,8 @@ def parts() -> tuple[Part, ...]:
     Raises:
         UserError: two packages bring a part of the same kind and name.
     """
+    from importlib.metadata import distributions
+
     found: dict[tuple[str, str], Part] = {}
     for distribution in distributions():
         for point in _points(distribution):
@@ -114,6 +153,8 @@ class PluginPackage:
 @cache
 def _package_names() -> tuple[str, ...]:
     """Top-level names, whether or not the parts' own names clash."""
+    from importlib.metadata import distributions
+
     points = [point for distribution in distributions() for point in _points(distribution)]
     return tuple(dict.fromkeys(point.value.partition(":")[0].partition(".")[0] for point in points))
 

@@ -11,7 +11,6 @@ import hashlib
 import io
 import tokenize
 import warnings
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -29,24 +28,6 @@ class Imports(NamedTuple):
     """Imports by statements inside functions."""
 
 
-class SourceContent(NamedTuple):
-    """Information in a source, in bytes after DEFLATE compression.
-
-    Comments and docstrings do not count, since a candidate runs without them.
-    """
-
-    literals: int
-    """Bytes of numbers, strings and bytes literals."""
-    names: int
-    """Bytes of names."""
-    alike: int
-    """Bytes of names, operators and order in statements of the same structure, for the structure
-    with the most; a table, in names or in operators, of one statement or of many, is one structure.
-    """
-    code: int
-    """Bytes of the whole source."""
-
-
 @dataclass(frozen=True)
 class SourceFacts:
     """Facts about a source that Python can parse."""
@@ -58,8 +39,6 @@ class SourceFacts:
     does not permit telling comments from code."""
     defines_fit: bool
     """Whether a top-level statement binds the name `fit`, or `design` of a controller."""
-    content: SourceContent | None
-    """None without `bare`."""
     imports: Imports
     library_only: bool
     """Whether it does nothing but call families and methods of the library with constants."""
@@ -68,13 +47,11 @@ class SourceFacts:
 def source_facts(source: str) -> SourceFacts:
     """Read a source. Raises SyntaxError or ValueError where Python cannot parse it."""
     tree = _parsed(source)
-    docstrings = _docstrings(tree)
-    bare = _bare(source, tree, docstrings)
+    bare = _bare(source, tree, _docstrings(tree))
     return SourceFacts(
         digest=_digest(tree),
         bare=bare,
         defines_fit=bool({"fit", "design"} & _defined(tree.body)),
-        content=None if bare is None else _content(tree, docstrings, bare),
         imports=imports_of(tree),
         library_only=_library_only(tree),
     )
@@ -215,29 +192,6 @@ def _names(body: list[ast.stmt], *, inside: bool) -> Iterator[str]:
                 pass
 
 
-def _content(tree: ast.Module, docstrings: set[ast.Constant], bare: str) -> SourceContent:
-    literals: list[bytes] = []
-    names: dict[str, None] = {}
-    kinds: dict[frozenset[str], list[str]] = {}
-    signs = ast.operator | ast.unaryop | ast.cmpop | ast.boolop
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and node not in docstrings:
-            value = node.value
-            text = value if isinstance(value, str | bytes) else repr(value)
-            literals.append(text if isinstance(text, bytes) else _encoded(text))
-        names.update(dict.fromkeys(_assigned_names(node)))
-        if isinstance(node, ast.stmt):
-            parts = list(_parts(node))
-            kind = frozenset(type(p).__name__ for p in parts if not isinstance(p, signs))
-            kinds.setdefault(kind, []).extend(_shape(p) for p in parts)
-    return SourceContent(
-        _deflated(b"\n".join(literals)),
-        _deflated(_encoded("\n".join(names))),
-        max((_deflated(_encoded("\n".join(shapes))) for shapes in kinds.values()), default=0),
-        _deflated(_encoded(bare)),
-    )
-
-
 def _bare(source: str, tree: ast.Module, docstrings: set[ast.Constant]) -> str | None:
     """Blank comments and docstrings, so that neither can carry data into a worker. Lines keep their
     numbers. None if the layout does not permit telling comments from code."""
@@ -270,16 +224,6 @@ def _without_docstrings(lines: list[str], docstrings: set[ast.Constant]) -> list
         parts += [whole[end:begin], b'(""', b"\n" * (one.end_lineno - one.lineno), b")"]
         end = starts[one.end_lineno - 1] + one.end_col_offset
     return b"".join([*parts, whole[end:]]).decode().split("\n")
-
-
-def _parts(statement: ast.stmt) -> Iterator[ast.AST]:
-    """Nodes of a statement in the order they are written, without the statements inside it."""
-    left: list[ast.AST] = [statement]
-    while left:
-        node = left.pop()
-        yield node
-        inside = [c for c in ast.iter_child_nodes(node) if not isinstance(c, ast.stmt)]
-        left += [c for c in reversed(inside) if not isinstance(c, ast.expr_context)]
 
 
 def _parsed(text: str) -> ast.Module:
@@ -342,14 +286,6 @@ def _assigned_names(node: ast.AST) -> Iterator[str]:
 def _name_fields(kind: type[ast.AST]) -> tuple[str, ...]:
     known = ("name", "id", "attr", "arg", "asname", "module")
     return tuple(name for name in known if name in kind._fields)
-
-
-def _encoded(text: str) -> bytes:
-    return text.encode("utf-8", "replace")
-
-
-def _deflated(data: bytes) -> int:
-    return len(zlib.compress(data, 9, wbits=-zlib.MAX_WBITS))
 
 
 def _defined(body: list[ast.stmt]) -> set[str]:

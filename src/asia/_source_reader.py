@@ -29,7 +29,7 @@ from typing import IO, Any
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from asia._source import Imports, SourceContent, SourceFacts, source_facts
+from asia._source import Imports, SourceFacts, source_facts
 from asia.errors import CandidateError, InternalError, Reason
 
 LARGEST_SOURCE = 64 * 1024
@@ -49,7 +49,7 @@ def read_source(source: str) -> SourceFacts:
 
     Raises:
         CandidateError: SYNTAX if it does not parse or exceeds a limit of the process that reads,
-            LITERAL_DATA if it is over 64 KB.
+            SOURCE_SIZE if it is over 64 KB.
     """
     try:
         size = len(source.encode())
@@ -57,7 +57,7 @@ def read_source(source: str) -> SourceFacts:
         raise CandidateError(Reason.SYNTAX, "the source is not valid Unicode") from error
     if size > LARGEST_SOURCE:
         raise CandidateError(
-            Reason.LITERAL_DATA,
+            Reason.SOURCE_SIZE,
             f"the source has {size} bytes, at most {LARGEST_SOURCE} are allowed",
         )
     found = _read(source)
@@ -73,12 +73,11 @@ def _read(source: str) -> SourceFacts | str:
     answer = _reader.ask(source.encode()) or _reader.ask(source.encode())
     if answer is None or "refusal" in answer:
         return _REFUSED if answer is None else str(answer["refusal"])
-    content, (first, later) = answer["content"], answer["imports"]
+    first, later = answer["imports"]
     return SourceFacts(
         digest=str(answer["digest"]),
         bare=answer["bare"],
         defines_fit=bool(answer["defines_fit"]),
-        content=None if content is None else SourceContent(*map(int, content)),
         imports=Imports(frozenset(first), frozenset(later)),
         library_only=bool(answer["library_only"]),
     )
@@ -223,7 +222,6 @@ def _answer(source: str) -> dict[str, Any]:
         "digest": found.digest,
         "bare": found.bare,
         "defines_fit": found.defines_fit,
-        "content": found.content,
         "imports": [sorted(part) for part in found.imports],
         "library_only": found.library_only,
     }

@@ -8,13 +8,13 @@ import ast
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 import asia
+from asia._plugins import is_installed
 from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
 from asia.data.frequency import FrequencyRecord
@@ -254,17 +254,7 @@ def _imports(source: str) -> Imports:
 def installed_libraries() -> tuple[str, ...]:
     """Names of these libraries that are installed here, as agents and users read them."""
     libraries = ("numpy", "scipy", "jax", "equinox", "optax")
-    return tuple(name for name in libraries if find_spec(name) is not None)
-
-
-# Limits on the data that a source carries. A candidate learns from its training records; one that
-# contains numbers may have copied them from the answers.
-
-
-MOST_LITERALS = 1024
-MOST_NAMES = 2048
-MOST_ALIKE = 1024
-MOST_CODE = 7 * 1024
+    return tuple(name for name in libraries if is_installed(name))
 
 
 # Check and identify the source of a candidate before anything of it runs.
@@ -292,8 +282,8 @@ def check_source(source: str) -> None:
 
     Raises:
         CandidateError: SYNTAX if it does not parse, or takes too long or too much memory to parse,
-            CONTRACT if it defines no top-level name `fit` or `design`, LITERAL_DATA if it is over
-            64 KB or carries more data than a model needs.
+            CONTRACT if it defines no top-level name `fit` or `design`, SOURCE_SIZE if it is over
+            64 KB.
     """
     facts = _facts(source)
     if not facts.defines_fit:
@@ -303,18 +293,6 @@ def check_source(source: str) -> None:
             "controller, design(models, context)",
         )
     executed_source(source)
-    assert facts.content is not None
-    for what, size, most in (
-        ("numbers and strings", facts.content.literals, MOST_LITERALS),
-        ("names", facts.content.names, MOST_NAMES),
-        ("statements of one kind", facts.content.alike, MOST_ALIKE),
-        ("code", facts.content.code, MOST_CODE),
-    ):
-        if size > most:
-            raise CandidateError(
-                Reason.LITERAL_DATA,
-                f"its {what} hold {size} bytes when compressed, at most {most} are allowed",
-            )
 
 
 def executed_source(source: str) -> str:

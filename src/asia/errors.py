@@ -28,9 +28,8 @@ class Reason(StrEnum):
     UNSOLICITED = "unsolicited"
     MODEL_SIZE = "model_size"
     NOT_REPRODUCIBLE = "not_reproducible"
-    LITERAL_DATA = "literal_data"
+    SOURCE_SIZE = "source_size"
     SUSPECT = "suspect"
-    LITERALS = "literals"
     RESTART = "restart"
     BEHIND = "behind"
 
@@ -74,12 +73,10 @@ _ADVICE = {
     Reason.MODEL_SIZE: "the fitted model is too large to keep: lower the number of parameters",
     Reason.NOT_REPRODUCIBLE: "the model reloaded in a fresh process simulates differently: "
     "keep everything simulate needs inside the model",
-    Reason.LITERAL_DATA: "the source contains too many literal numbers: "
-    "let fit estimate them from the training records, and shorten the rest",
+    Reason.SOURCE_SIZE: "the source is too long: "
+    "let fit estimate numbers from the training records, and shorten the rest",
     Reason.SUSPECT: "the simulation does not behave like a dynamical system: "
     "make simulate a causal, continuous function of each row alone, with no memory between calls",
-    Reason.LITERALS: "suspect: data in the source seem to explain the gain: "
-    "let fit estimate numbers from the training records",
     Reason.RESTART: "the model is accurate from the scored initial samples only: "
     "make simulate equally accurate from any other sample of a record",
     Reason.BEHIND: "V is far above the best for any result of the other folds, so they were "

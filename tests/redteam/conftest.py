@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.assurance.redteam.attacks import source as source_of
-from asia.assurance.redteam.evidence import said_steps
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.judge.sandbox.availability import open_worker, why_not
 from asia.judge.sandbox.types import Isolation, Layer, Limits
+from tests.redteam.attacks import source as source_of
+from tests.redteam.evidence import said_steps
 
 REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
 LEVELS = {
@@ -30,7 +30,7 @@ BY_CHANCE = {42}
 def candidate(
     fit: str = "pass", before: str = "pass", after: str = "0.5 * u", top: str = ""
 ) -> str:
-    """Make a candidate as in the shipped suite, with another honest simulation."""
+    """Make a candidate as in the suite, with another honest simulation."""
     return source_of.candidate(fit, before, after, top)
 
 
@@ -124,14 +124,9 @@ def open_arena() -> Iterator[Arena]:
 def page_tables() -> dict[tuple[str, ...], list[dict[str, str]]]:
     """The tables of docs/redteam.md by their heads, a row as words by column."""
     page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
-    return tables(page)
-
-
-def tables(text: str) -> dict[tuple[str, ...], list[dict[str, str]]]:
-    """Tables in Markdown by their heads."""
     found: dict[tuple[str, ...], list[dict[str, str]]] = {}
     head: tuple[str, ...] = ()
-    for line in text.splitlines():
+    for line in page.splitlines():
         cells = tuple(cell.strip() for cell in line.strip("|").split("|"))
         if not line.startswith("|"):
             head = ()

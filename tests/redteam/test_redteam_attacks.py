@@ -1,14 +1,14 @@
 """Attacks that only the parent and the supervisor stop, at the level without sandbox layers.
 
-Neither the cheats of the shipped suite nor the failures that the contract of every level covers are
+Neither the cheats of the suite nor the failures that the contract of every level covers are
 repeated.
 """
 
 import pytest
 
-from asia.assurance.redteam.attacks.scores import STEAL
-from asia.assurance.redteam.attacks.walls import _DAEMON
 from asia.errors import CandidateError, Reason
+from tests.redteam.attacks.scores import STEAL
+from tests.redteam.attacks.walls import _DAEMON
 
 from .conftest import candidate
 

@@ -4,24 +4,18 @@ import re
 from dataclasses import replace
 
 import pytest
-from typer.testing import CliRunner
 
-from asia.assurance.redteam.arena import attack_candidate
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.problem import Principle
-from asia.assurance.redteam.suite import unchecked_table, without_checks
-from asia.assurance.redteam.types import AttackVerdict, CandidateAttack
-from asia.errors import UserError
-from asia.interfaces.cli import app
 from asia.judge.sandbox.availability import why_not
 from asia.judge.sandbox.types import Isolation
-
-from .conftest import page_tables, tables
+from tests.redteam.arena import attack_candidate
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.problem import Principle
+from tests.redteam.suite import unchecked_table, without_checks
+from tests.redteam.types import AttackVerdict, CandidateAttack
 
 WORKING = [x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None]
 ONE_LEVEL = WORKING[0] if WORKING else None
 CHECKED = [a for a in ATTACKS if isinstance(a, CandidateAttack) and a.checks]
-COLUMNS = ("#", "variant", "level", "honest V", "without", "V", "with all checks")
 needs_level = pytest.mark.skipif(ONE_LEVEL is None, reason="no level keeps intent in here")
 
 
@@ -74,51 +68,6 @@ def test_every_variant_succeeds_without_the_checks_that_stop_it_and_not_with_the
     expected = {(a.number, name, str(x)) for a in CHECKED for name in a.sources for x in WORKING}
     assert {(one.number, one.variant, one.level) for one in found} == expected
     assert [one for one in found if not one.succeeded or one.checked.through] == []
-    ((_, rows),) = tables(unchecked_table(found)).items()
-    shown = page_tables()[COLUMNS]
-    # Which relations find a cheat depends on what is drawn; V does not.
-    numbers = COLUMNS[:-1]
-    kept = [{name: row[name] for name in numbers} for row in rows if row["level"] == "namespace"]
-    assert kept in ([{name: row[name] for name in numbers} for row in shown], [])
-
-
-def refused(*words: str) -> str:
-    done = CliRunner().invoke(app, ["doctor", "--attack", *words])
-    assert isinstance(done.exception, UserError)
-    return str(done.exception)
-
-
-@needs_level
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--without", "look-ahead", "--without", "seccomp"), "name layers, or checks"),
-        (("--without", "checks", "--without", "look-ahead"), "name layers, or checks"),
-        (("--without", "checks", "--only", "1"), "no part in attack 1"),
-        (("--without", "checks", "--level", "process"), "confines nothing"),
-        (("--without", "wall"), "look-ahead"),
-    ],
-)
-def test_a_layer_that_cannot_be_left_out_is_refused(words, said):
-    assert said in refused(*words)
-
-
-@needs_level
-def test_the_command_leaves_out_one_check(monkeypatch):
-    from asia.assurance.redteam import suite
-
-    asked: list[tuple[str, ...]] = []
-    monkeypatch.setattr(
-        suite,
-        "without_checks",
-        lambda at, attacks, kinds, on_result: asked.append((*kinds,)) or (),
-    )
-    done = CliRunner().invoke(
-        app, ["doctor", "--attack", "--without", "block-end", "--level", str(ONE_LEVEL)]
-    )
-    assert done.exit_code == 0, done.output
-    assert asked == [("block end",)]
-    assert "with all checks" in done.stdout
 
 
 @needs_level

@@ -3,15 +3,12 @@
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.suite import RedTeamPlan, run_suite
-from asia.assurance.redteam.types import CandidateAttack
-from asia.errors import UserError
-from asia.interfaces.cli import app, spread
 from asia.judge.evaluation.machines import survey_machines
 from asia.judge.sandbox.availability import fitting_levels, why_not
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.suite import RedTeamPlan, run_suite
+from tests.redteam.types import CandidateAttack
 from tests.unit.judge.executor.cluster import two_workers
 
 LEVELS = [x.isolation for x in fitting_levels() if x.confined and why_not(x.isolation) is None]
@@ -30,12 +27,3 @@ def test_attacks_are_stopped_through_a_cluster(tmp_path: Path) -> None:
         executor.close()
     assert [f for f in report.findings if f.through] == []
     assert report.stopped == len(candidates) == len(report.findings)
-
-
-def test_attacks_that_an_agent_makes_do_not_go_through_an_executor() -> None:
-    with pytest.raises(UserError, match="no part in attack 29, 31, which an agent makes"):
-        CliRunner().invoke(
-            app,
-            spread(["doctor", "--attack", "--executor", "local", "--only", "5", "29", "31"]),
-            catch_exceptions=False,
-        )

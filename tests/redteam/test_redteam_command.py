@@ -1,4 +1,4 @@
-"""`asia doctor --attack`: what it prints, refuses and leaves behind."""
+"""`asia doctor --attack` and `python -m tests.redteam`: output, refusals, nothing left behind."""
 
 import json
 import os
@@ -11,101 +11,134 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.outside.without_isolation import OFF
-from asia.assurance.redteam.types import AttackVerdict, Finding
+from asia.errors import UserError
 from asia.interfaces.cli import app
 from asia.judge.sandbox.availability import why_not
 from asia.judge.sandbox.types import Isolation
+from asia.testing import attacks as doctor_attacks
+from tests.redteam.__main__ import main
+from tests.redteam.attacks.doctor import DOCTOR
+from tests.redteam.outside import outer_sandbox
+from tests.redteam.outside.outer_sandbox import inside, why_no_outer
+from tests.redteam.outside.without_isolation import CONTROL, OFF
+from tests.redteam.types import AttackVerdict, Finding
 
+ROOT = Path(__file__).parents[2]
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
 ONE_LEVEL = WORKING[0] if WORKING else None
 needs_level = pytest.mark.skipif(ONE_LEVEL is None, reason="no level keeps intent in here")
-
-
-def run(*words: str):
-    return CliRunner().invoke(app, ["doctor", "--attack", *words])
+needs_outer = pytest.mark.skipif(why_no_outer() is not None, reason=str(why_no_outer()))
 
 
 @pytest.mark.slow
 @needs_level
-def test_the_command_prints_a_table_and_a_verdict():
-    done = run("--only", "2", "--only", "34", "--level", str(ONE_LEVEL), "--no-prove")
+def test_doctor_stops_one_attack_of_each_kind():
+    done = CliRunner().invoke(app, ["doctor", "--attack", "--json"])
     assert done.exit_code == 0, done.output
-    wall = "namespaces" if ONE_LEVEL is Isolation.NAMESPACE else "landlock"
-    assert f"| 2  | write the evaluator's code | blocked: {wall}" in done.stdout
-    assert "| 34 | divide by nothing          | any level: blocked: problem check" in done.stdout
-    assert "2 of 2 blocked or flagged" in done.stdout
-    assert "34 divide by nothing" in done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [(row["level"], row["attack"]) for row in found] == [
+        (level, attack.name) for level in WORKING for attack in doctor_attacks.ATTACKS
+    ]
+    assert all(row["stopped"] for row in found)
+    how = {row["attack"]: row["how"] for row in found}
+    assert how["forge the answer"] == "unsolicited"
+    assert how["look ahead in the inputs"].startswith("suspect: look-ahead")
+    count = len(found)
+    assert f"{count} of {count} attacks stopped" in done.stderr
+
+
+@pytest.mark.slow
+@needs_outer
+def test_each_attack_of_doctor_succeeds_with_isolation_off_and_not_by_failing():
+    numbers = [str(attack.number) for attack in DOCTOR]
+    assert [f.number for f in inside([OFF, "", *numbers]) if not f.through] == []
+    assert [f.number for f in inside([CONTROL, "", *numbers]) if f.through] == []
 
 
 @needs_level
-def test_the_command_fails_when_something_gets_through(monkeypatch):
-    from asia.assurance.redteam import suite as _suite
+def test_doctor_fails_when_something_gets_through(monkeypatch):
+    """An attack that is honest and better, one that prints success, and one that never ran."""
+    better = doctor_attacks.Attack("better", simulate="y = y + 0.5 * (u[:, :, 1:2] - y)")
+    loud = doctor_attacks.Attack("loud", "attempt('pass')")
+    broken = doctor_attacks.Attack("broken", "no_such_name")
+    monkeypatch.setattr(doctor_attacks, "ATTACKS", (better, loud, broken))
+    found = list(doctor_attacks.run_attacks(ONE_LEVEL))
+    assert [one.stopped for one in found] == [False, False, False]
+    assert found[2].how.startswith("crash: ")
+
+
+def test_doctor_runs_no_attack_where_no_level_confines(monkeypatch):
+    monkeypatch.setattr("asia.judge.sandbox.availability.why_not", lambda level: "not here")
+    done = CliRunner().invoke(app, ["doctor", "--attack"])
+    assert isinstance(done.exception, UserError)
+    assert "no level of namespace, landlock works here" in str(done.exception)
+
+
+@pytest.mark.slow
+@needs_level
+def test_the_suite_prints_a_table_and_a_verdict(capsys):
+    assert main(["--only", "2", "34", "--level", str(ONE_LEVEL), "--no-prove"]) == 0
+    done = capsys.readouterr()
+    wall = "namespaces" if ONE_LEVEL is Isolation.NAMESPACE else "landlock"
+    assert f"| 2  | write the evaluator's code | blocked: {wall}" in done.out
+    assert "| 34 | divide by nothing          | any level: blocked: problem check" in done.out
+    assert "2 of 2 blocked or flagged" in done.out
+    assert "34 divide by nothing" in done.err
+
+
+@needs_level
+def test_the_suite_fails_when_something_gets_through(monkeypatch, capsys):
+    from tests.redteam import suite as _suite
 
     finding = Finding(2, str(ONE_LEVEL), AttackVerdict.THROUGH, (), "done")
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: finding)
-    done = run("--only", "2", "--level", str(ONE_LEVEL), "--no-prove", "--json")
-    assert done.exit_code == 1
-    lines = [json.loads(text) for text in done.stdout.splitlines()]
-    assert lines[0]["verdict"] == "through"
-    assert lines[1]["summary"]["stopped"] == 0
+    assert main(["--only", "2", "--level", str(ONE_LEVEL), "--no-prove", "--json"]) == 1
+    first, last = capsys.readouterr().out.splitlines()
+    assert json.loads(first)["verdict"] == "through"
+    assert last.startswith("0 of 1 blocked or flagged")
 
 
 @needs_level
-def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
-    from asia.assurance.redteam import suite as _suite
-    from asia.assurance.redteam.outside import outer_sandbox
+def test_the_suite_fails_when_an_attack_does_not_work(monkeypatch, capsys):
+    from tests.redteam import suite as _suite
 
     blocked = Finding(2, str(ONE_LEVEL), AttackVerdict.BLOCKED, ("landlock",), "")
     clumsy = Finding(2, OFF, AttackVerdict.BLOCKED, ("parent",), "no score")
     monkeypatch.setattr(outer_sandbox, "why_no_outer", lambda: None)
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: blocked)
     monkeypatch.setattr(_suite, "inside", lambda job, nested: iter([clumsy]))
-    done = run("--only", "2", "--level", str(ONE_LEVEL))
-    assert done.exit_code == 1
-    assert "blocked: landlock | DOES NOT SUCCEED |" in done.stdout
-    assert "1 of 1 blocked or flagged, 0 of 1 succeed with isolation off (not 2)" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--only", "999"], f"there are attacks 1 to {len(ATTACKS)}"),
-        (["--level", "bunker"], "expected one of namespace, landlock, process"),
-        (["--without", "namespaces"], "is level landlock"),
-        (["--without", "moat"], "expected each, checks, some of landlock, seccomp, rlimits"),
-        (["--without", "each", "--quick"], "--without and --quick do not go together"),
-        (["--without", "each", "--honest-on", "two_tanks_sim"], "--without and --honest-on"),
-        (["--without", "each", "--no-prove"], "--without and --no-prove do not go together"),
-        (["--honest-on", "two_tanks_sim", "--only", "3"], "--honest-on and --only do not"),
-        (["--only", "3", "--quick"], "--only and --quick do not go together"),
-    ],
-)
-def test_the_command_reports_unknown_arguments(words, said):
-    done = run(*words)
-    assert said in str(done.exception)
+    assert main(["--only", "2", "--level", str(ONE_LEVEL)]) == 1
+    done = capsys.readouterr()
+    assert "blocked: landlock | DOES NOT SUCCEED |" in done.out
+    assert "1 of 1 blocked or flagged, 0 of 1 succeed with isolation off (not 2)" in done.out
 
 
 @needs_level
-def test_an_attack_that_no_layer_has_a_part_in_is_refused():
-    done = run("--without", "seccomp", "--only", "29", "--level", str(ONE_LEVEL))
-    assert "no layer has a part in attack 29: " in str(done.exception)
-
-
-def test_the_level_of_another_system_is_not_for_attacks(monkeypatch):
-    monkeypatch.setattr("asia.judge.sandbox.availability.why_not", lambda level: "not here")
-    done = run()
-    assert "no level of namespace, landlock works here" in str(done.exception)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--only", "999"], "there are attacks 1, 2, 3"),
+        (["--level", "bunker"], "expected some of namespace, landlock, process"),
+        (["--without", "namespaces"], "is level landlock"),
+        (["--without", "look-ahead", "seccomp"], "expected 'each', 'checks', layers, or checks"),
+    ],
+)
+def test_the_suite_refuses_unknown_arguments(words, said, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    assert stop.value.code == 2
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.slow
 @needs_level
 def test_two_interrupts_leave_nothing_behind(tmp_path):
-    command = [str(Path(sys.executable).with_name("asia")), "doctor", "--attack", "--no-prove"]
+    command = [sys.executable, "-m", "tests.redteam", "--no-prove"]
     command += ["--level", str(ONE_LEVEL), "--only", "13", "18", "19", "22"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, env=environment, text=True) as process:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, env=environment, text=True, cwd=ROOT
+    ) as process:
         while not any(tmp_path.glob("asia-redteam-*/*")):
             assert process.poll() is None
             time.sleep(0.01)
@@ -119,5 +152,4 @@ def test_two_interrupts_leave_nothing_behind(tmp_path):
     # The second signal may come while Python ends, after all was said and tidied up.
     assert process.returncode in (130, -signal.SIGTERM)
     assert "ending" not in said
-    assert said.endswith("asia: interrupted\n")
     assert [*tmp_path.iterdir()] == []

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.outside.outer_sandbox import why_no_outer
-from asia.assurance.redteam.suite import each_layer, without_layers
-from asia.assurance.redteam.types import Attack
 from asia.judge.sandbox.availability import why_not
 from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.outside.outer_sandbox import why_no_outer
+from tests.redteam.suite import each_layer, without_layers
+from tests.redteam.types import Attack
 
 from .conftest import BY_CHANCE, page_tables
 
@@ -42,9 +42,7 @@ def come_back(
 def test_exactly_the_attacks_of_the_page_come_back_without_a_layer():
     """Also while another program locks a file that candidates have open."""
     shown = {
-        (row["level"], (row["without"],)): {
-            int(part.split()[0]) for part in row["comes back"].split("; ")
-        }
+        (row["level"], (row["without"],)): {*map(int, row["comes back"].split(", "))}
         for row in page_tables()["level", "without", "comes back"]
     }
     assert all(shown.values())

@@ -6,20 +6,20 @@ import subprocess
 
 import pytest
 
-from asia.assurance.redteam.outside.outer_sandbox import outer_command, why_no_outer
 from asia.judge.sandbox.layers.environment import (
     SYSTEM_FILES,
     code_folders,
     interpreter,
     interpreter_links,
 )
+from tests.redteam.outside.outer_sandbox import SUITE, outer_command, why_no_outer
 
 KINDS = [
     pytest.param(nested, marks=pytest.mark.skipif(reason is not None, reason=str(reason)))
     for nested, reason in ((n, why_no_outer(nested=n)) for n in (False, True))
 ]
 CODE = ["/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64"]
-CODE += [place for _, place in code_folders()]
+CODE += [place for _, place in code_folders()] + [str(place) for place in SUITE]
 LOOK = """
 import glob, json, os, socket, sys
 known, port = json.loads(sys.argv[1]), int(sys.argv[2])
@@ -49,5 +49,6 @@ def test_the_outer_sandbox_shows_nothing_but_the_code(nested, tmp_path):
     assert len(processes) <= 3
     assert [line for line in processes if LOOK not in line] == []
     links = {place for _, place in interpreter_links()}
+    links |= set(CODE)  # a single file of the suite
     assert [f for f in files if not f.startswith(SYSTEM_FILES) and f not in links] == []
     assert writable == []

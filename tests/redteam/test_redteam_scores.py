@@ -3,10 +3,10 @@ weakest level, where the parent stands alone."""
 
 import pytest
 
-from asia.assurance.redteam.attacks.scores import STEAL
 from asia.errors import CandidateError, Reason
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.types import Limits, ScoreRefusedError
+from tests.redteam.attacks.scores import STEAL
 
 from .conftest import candidate
 from .test_redteam_attacks import FORK

@@ -1,5 +1,5 @@
-"""The suite that is shipped as `asia doctor --attack`: complete, each attack stopped as it says
-and a real one, and the page of the manual as it is."""
+"""The suite: complete, each attack stopped as it says and a real one, and the page of the manual
+as it is."""
 
 import os
 import signal
@@ -12,34 +12,38 @@ from pathlib import Path
 import pytest
 
 from asia.agents.library.family import Family
-from asia.assurance.redteam.arena import Interruption, attack_candidate
-from asia.assurance.redteam.attacks.source import candidate
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.evidence import (
+from asia.errors import Reason, SandboxError
+from asia.judge.sandbox.availability import why_not
+from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.arena import Interruption, attack_candidate
+from tests.redteam.attacks.source import candidate
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.evidence import (
     Traces,
     a_step_succeeded,
     conclude,
     scores_better,
     targets,
 )
-from asia.assurance.redteam.honest import HonestProblem, small_problems, try_honest
-from asia.assurance.redteam.outside.outer_sandbox import (
+from tests.redteam.honest import HonestProblem, small_problems, try_honest
+from tests.redteam.outside.outer_sandbox import (
     inside,
     read_finding,
     why_no_outer,
     write_finding,
 )
-from asia.assurance.redteam.outside.without_isolation import CONTROL, OFF
-from asia.assurance.redteam.suite import (
+from tests.redteam.outside.without_isolation import CONTROL, OFF
+from tests.redteam.suite import (
     RedTeamPlan,
     RedTeamReport,
+    attack_table,
     honest_plan,
     line,
     report_table,
     run_suite,
     summary,
 )
-from asia.assurance.redteam.types import (
+from tests.redteam.types import (
     ANY_LEVEL,
     Attack,
     AttackVerdict,
@@ -49,12 +53,6 @@ from asia.assurance.redteam.types import (
     HonestFinding,
     Observed,
 )
-from asia.errors import Reason, SandboxError
-from asia.judge.sandbox.availability import why_not
-from asia.judge.sandbox.layers.landlock import abi
-from asia.judge.sandbox.types import Isolation, Layer
-
-from .conftest import BY_CHANCE, page_tables, tables
 
 CANDIDATES = [attack for attack in ATTACKS if isinstance(attack, CandidateAttack)]
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
@@ -100,8 +98,9 @@ def report(request: pytest.FixtureRequest) -> RedTeamReport:
     return run_suite(RedTeamPlan(levels, attacks, prove=NO_OUTER is None))
 
 
-def test_the_attacks_are_numbered_from_1_on_without_a_gap():
-    assert [attack.number for attack in ATTACKS] == list(range(1, len(ATTACKS) + 1))
+def test_no_number_or_name_is_given_twice():
+    numbers = [attack.number for attack in ATTACKS]
+    assert numbers == sorted({*numbers})
     assert len({attack.name for attack in ATTACKS}) == len(ATTACKS)
 
 
@@ -123,8 +122,6 @@ def test_every_attack_is_stopped_by_an_expected_barrier(report):
     expected = {attack.number: {*map(str, attack.stops)} for attack in report.plan.attacks}
     stopped = [f for f in report.findings if f.level != OFF]
     assert [f for f in stopped if not {*f.stops} <= expected[f.number]] == []
-    by_lint = {number for number, stops in expected.items() if str(Barrier.LINT) in stops}
-    assert {f.number for f in stopped if "literal_data" in f.note} == by_lint != set()
 
 
 @needs_outer
@@ -143,53 +140,10 @@ def test_no_attack_succeeds_by_failing():
     assert [f for f in found if f.through] == []
 
 
-def test_the_page_lists_the_attacks():
-    rows = page_tables()["#", "attack", "what it tries"]
-    shown = [(row["#"], row["attack"], row["what it tries"].replace("`", "")) for row in rows]
-    assert shown == [(str(a.number), a.name, a.tries.replace("`", "")) for a in ATTACKS]
-
-
-def test_the_page_shows_the_findings(report):
-    """Word for word on a machine such as the page names, elsewhere without the layers."""
-    shown = page_tables()["#", "attack", "namespace", "landlock", "off"]
-    ((_, found),) = tables(report_table(report)).items()
-    alike = os.uname().release.startswith("6.18") and abi() == 7
-    assert _cells(found, alike).items() <= _cells(shown, alike).items()
-
-
-def _cells(rows, with_layers):
-    """Parse the table into cells by number and level."""
-    cells: dict[tuple[str, str], str] = {}
-    by_chance = {str(number) for number in BY_CHANCE}
-    for row in rows:
-        for column, cell in row.items():
-            if cell and column not in ("#", "attack"):
-                words = cell.split(": ")
-                level = words.pop(0) if words[0] == ANY_LEVEL else column
-                word_for_word = with_layers and row["#"] not in by_chance
-                cells[row["#"], level] = ": ".join(words if word_for_word else words[:1])
-                if row["#"] in by_chance and words[0] in ("blocked", "no gain"):
-                    cells[row["#"], level] = "stopped"
-    return cells
-
-
-def test_the_page_shows_the_last_line(report, honest):
-    """One honest candidate stands for all: to fit each takes minutes."""
+def test_the_page_has_the_table_of_the_suite():
+    """`python -m tests.redteam --table` prints it."""
     page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
-    plan = replace(report.plan, honest=honest_plan())
-    alike = [replace(honest, family=row.name, problem=p.name) for p, row in plan.honest]
-    words = summary(replace(report, plan=plan, honest=tuple(alike)), 0.0)
-    families, attacks = len({one.family for one in alike}), len(plan.attacks)
-    for counts, letters in (
-        (
-            f"{families} families ({len(alike)} honest candidates)",
-            "N families (M honest candidates)",
-        ),
-        (f"{attacks} of {attacks}", "K of K"),
-    ):
-        assert counts in words
-        words = words.replace(counts, letters)
-    assert words.removesuffix(" (0 s)") in page
+    assert attack_table(ATTACKS) in page
 
 
 @needs_level
@@ -229,7 +183,7 @@ if os.fork() == 0:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_an_unmarked_process_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
-    from asia.assurance.redteam import evidence as module
+    from tests.redteam import evidence as module
 
     monkeypatch.setattr(module, "_PATIENCE_SECONDS", 0.0)
     traces = Traces("rt", 1, str(tmp_path))
@@ -291,7 +245,7 @@ def test_a_neighbour_is_seen_to_be_hurt():
 
 @needs_level
 def test_an_honest_candidate_is_not_flagged_and_one_that_remembers_is(honest, monkeypatch):
-    from asia.assurance.redteam import honest as _honest
+    from tests.redteam import honest as _honest
 
     assert (honest.flagged, honest.failure, honest.words) == (False, None, "")
     tanks, _ = small_problems()
@@ -308,7 +262,7 @@ def test_an_honest_candidate_is_not_flagged_and_one_that_remembers_is(honest, mo
 @needs_level
 def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
     """A failing fit on the small problems is reported for the problems with limits of their own."""
-    from asia.assurance.redteam import honest as _honest
+    from tests.redteam import honest as _honest
 
     tanks, _ = small_problems()
     late = replace(tanks, seconds=0.2)

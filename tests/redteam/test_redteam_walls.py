@@ -1,4 +1,4 @@
-"""Confinement by the sandbox layers beyond the attacks of the shipped suite; never run at the
+"""Confinement by the sandbox layers beyond the attacks of the suite; never run at the
 process level, which has none."""
 
 import os
@@ -6,9 +6,9 @@ import secrets
 
 import pytest
 
-from asia.assurance.redteam.attacks.walls import _DAEMON
 from asia.errors import CandidateError, Reason
 from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.attacks.walls import _DAEMON
 
 from .conftest import LEVELS, arena_at, candidate
 

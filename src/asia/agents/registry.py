@@ -3,12 +3,12 @@
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import cast
 
-from asia._plugins import load_target, parts_of
+from asia._plugins import Part, load_target, parts_of
 from asia._text import one_line
 from asia.agents.bayes import BayesAgent
 from asia.agents.expert.agent import ExpertAgent
@@ -39,22 +39,38 @@ class AgentRow:
 
     reads_notes: bool = True
     """Whether notes of `asia steer` change its proposals."""
+    writes_code: bool = True
+    """Whether it writes candidates, which can print the training records; the others choose from
+    the model library."""
 
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
-    AgentRow("expert", "rules of an experienced engineer, without a language model", ExpertAgent),
-    AgentRow("random", "draws from the model library", RandomAgent, reads_notes=False),
+    AgentRow(
+        "expert",
+        "rules of an experienced engineer, without a language model",
+        ExpertAgent,
+        writes_code=False,
+    ),
+    AgentRow(
+        "random",
+        "draws from the model library",
+        RandomAgent,
+        reads_notes=False,
+        writes_code=False,
+    ),
     AgentRow(
         "random-paper",
         "draws from the paper's space",
         partial(RandomAgent, "paper"),
         reads_notes=False,
+        writes_code=False,
     ),
     AgentRow(
         "bayes",
         "estimates where the library is best (Parzen estimator)",
         BayesAgent,
         reads_notes=False,
+        writes_code=False,
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
     AgentRow("workspace", "candidates that are submitted from a folder"),
@@ -105,7 +121,7 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
         return NamedAgent(AGENTS[full]())
     brought = {part.name: part for part in parts_of(GROUP)}
     if name in brought and name not in RESERVED:
-        return _called(brought[name].target, installed=True)
+        return _called(brought[name])
     if plans := asked_relay(name):
         runners: list[Runner] = []
         for plan in plans:
@@ -150,15 +166,18 @@ def recorded_agent(
     if name == LeadingAgent.name:
         return LeadingAgent.from_record(settings)
     if _CLASS in settings and name not in RESERVED:
-        target = settings[_CLASS]
-        installed = any(part.target == target for part in parts_of(GROUP))
-        if not installed and target not in trusted:
-            raise UserError(
-                f"the ledger names the agent class '{one_line(target, 200)}', which no installed "
-                "package brings: it was not imported; if you trust its code, give --trust-agent "
-                "with exactly this name"
-            )
-        return _called(target, installed=installed).agent
+        recorded = settings[_CLASS]
+        for part in parts_of(GROUP):
+            if part.target == recorded:
+                return _called(part).agent
+        for target in trusted:
+            if target == recorded:
+                return _called(target).agent
+        raise UserError(
+            f"the ledger names the agent class '{one_line(recorded, 200)}', which no installed "
+            "package brings: it was not imported; if you trust its code, give --trust-agent "
+            "with exactly this name"
+        )
     make = AGENTS.get(name)
     return make() if make is not None else None
 
@@ -178,19 +197,28 @@ def reads_notes(started: Started) -> bool:
     return not deaf.issuperset(names)
 
 
+def can_read_records(names: Iterable[str]) -> bool:
+    """Return whether one of these agents can read the training records, so that V alone is no
+    evidence: all that write candidates, also those that are not built in."""
+    library = {row.name for row in AGENT_ROWS if not row.writes_code}
+    return not library.issuperset(names)
+
+
 def packages_of(name: str) -> tuple[str, ...]:
     """Packages that the proposals of the agent with this name depend on."""
     return next((row.packages for row in AGENT_ROWS if row.name == name), ())
 
 
-def _called(target: str, *, installed: bool = False) -> NamedAgent:
-    """Import and make an agent. The current folder is searched first, unless the class is that of
-    an installed package."""
+def _called(named: Part | str) -> NamedAgent:
+    """Import and make an agent of an installed package, or of a class that the user names, for
+    which the current folder is searched first."""
+    installed = isinstance(named, Part)
+    target = named.target if installed else named
     what, here = f"--agent {target}", os.getcwd()
     if not installed:
         sys.path.insert(0, here)
     try:
-        make = load_target(target, what)
+        make = named.load() if installed else load_target(named, what)
         if not callable(make):
             raise UserError(f"{what}: expected a class that is called without arguments")
         try:

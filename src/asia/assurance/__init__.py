@@ -1,1 +1,1 @@
-"""Assurance: red team and benchmark comparisons."""
+"""Assurance: benchmark comparisons."""

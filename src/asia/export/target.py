@@ -1,20 +1,20 @@
 """The interface of an export target, and the comparison of its files with the simulation."""
 
-import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import LiteralString, Protocol
 
 import numpy as np
 
+from asia._plugins import is_installed
 from asia.data.trajectory import Array, spread_of
 from asia.export.model import ExportModel, Printed, TrainingWindow
 
 
-def missing_package(*names: str) -> str | None:
+def missing_package(*names: LiteralString) -> str | None:
     """Instruction for `Target.missing` if one of these packages is not installed."""
-    found = all(importlib.util.find_spec(name) for name in names)
+    found = all(is_installed(name) for name in names)
     return None if found else "pip install '.[export]' in a clone of ASIA"
 
 

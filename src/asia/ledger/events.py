@@ -14,7 +14,7 @@ from pydantic import AliasChoices, Field, TypeAdapter
 
 from asia._timer import TimeSpent
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.description import LiteralCheck
+from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.euclidean_error import MeeTable
 from asia.judge.scoring.outcome import Failure, Outcome, TestScore
 from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
@@ -323,7 +323,7 @@ class StressTest:
 # The course of a search: its start, its experiments, its end.
 
 
-Status = Literal["keep", "inconclusive", "discard", "crash", "timeout", "invalid"]
+Status = Literal["keep", "inconclusive", "unconfirmed", "discard", "crash", "timeout", "invalid"]
 Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
@@ -402,8 +402,9 @@ class Started:
     """True if folds of a first fit are pruned once V must be above `Proposed.over`."""
     device: Annotated[Literal["cpu", "gpu"], _omitted("cpu")] = "cpu"
     """`gpu` in older ledgers only, where candidates trained networks on one."""
-    literal_check: Annotated[bool, _omitted(False)] = False
-    """True if the literals of new bests are compared with their gain; False in older ledgers."""
+    gate: Annotated[bool, _omitted(False)] = False
+    """True if the agent can read the training records, so that V alone is no evidence and the gain
+    of a new best must be confirmed; False in older ledgers."""
     retest_limit: Annotated[float | None, _omitted(None)] = None
     """V over that of the linear reference from which on a candidate is not fitted from other seeds;
     None in older ledgers, where all are."""
@@ -532,8 +533,8 @@ class Evaluated:
     ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
     """Folds that were cancelled while they ran, see `asia.search.rules.FAR_ABOVE`."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
-    literals: Annotated[LiteralCheck | None, _omitted(None)] = field(default=None, compare=False)
-    """Literals of a new best against its gain; None for others, and in older ledgers."""
+    confirmation: Annotated[Confirmation | None, _omitted(None)] = None
+    """Gain of a new best where nobody could read the answers; None where it was not asked."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -679,6 +680,9 @@ class GuardLooked:
     pick: int | None
     """The best of them on the guard records."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
+    total: Annotated[Confirmation | None, _omitted(None)] = None
+    """Gain of the final best over the first one; None where it cannot be had, and in older
+    ledgers."""
     event: Literal["guard"] = "guard"
 
 
@@ -718,7 +722,7 @@ class Unsealing:
     experiment: int
     test_digest: str
     opened_before: tuple[str, ...]
-    """Other runs in the same folder that had opened the same test before."""
+    """Other runs known to the user that had opened the same test before, with the time."""
     process_consent: bool = False
     """True if the user agreed although candidates ran at level process and could read it."""
     event: Literal["unsealing"] = "unsealing"

@@ -266,6 +266,7 @@ def usability(view: SearchView) -> Usability | None:
     doubts += [
         sentence
         for holds, sentence in (
+            (bool(unguarded(view)), unguarded(view)),
             (
                 start.isolation == "process",
                 "Candidates ran without isolation and could have read the held-out data.",
@@ -291,6 +292,17 @@ def usability(view: SearchView) -> Usability | None:
     return Usability(kind, (*wrong, *doubts))
 
 
+def unguarded(view: SearchView) -> str:
+    """Return why V alone stands for the result of a search; "" where it is evidence, or where
+    guard records confirm it."""
+    if not view.started.gate or view.started.guard_digest is not None:
+        return ""
+    return (
+        "V alone proves little here: the agent could read the training records, and no guard "
+        "records are held back to confirm it. Record more, or name some in data.guard."
+    )
+
+
 def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
     """The result of the sealed test for this model; that of the ensemble if it has none."""
     found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
@@ -298,8 +310,8 @@ def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
 
 
 def alarms(view: SearchView) -> tuple[str, ...]:
-    """Return what is said before everything else: a test error far above V, and a V that no model
-    can have."""
+    """Return what is said before everything else: a test error far above V, a gain that the guard
+    records contradict, and a V that no model can have."""
     found: list[str] = []
     best = view.best
     if best is None or best.score is None:
@@ -313,6 +325,14 @@ def alarms(view: SearchView) -> tuple[str, ...]:
                 f"the test error is {error / value:.3g} times V, far more than in honest searches "
                 f"that went well ({FAR_ABOVE_V:g} at most): V is no measure of this model"
             )
+    total = view.looks[-1].total if view.looks else None
+    if total is not None and total.guard is not None and total.contradicted:
+        since = f"since #{total.since:02d}" if total.since else "from the training mean"
+        found.append(
+            f"V fell by {total.gain:.0%} {since}, the error on the guard records by "
+            f"{total.guard.value:.0%} (at most {total.guard.high:.0%}): V is no measure of this "
+            "model"
+        )
     if view.truth is not None and view.below_truth(value):
         found.append(
             f"V {value:.4g} of #{best.number:02d} is below that of the simulated truth, "

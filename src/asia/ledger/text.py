@@ -11,7 +11,7 @@ from asia._text import coarse, one_line
 from asia.judge.evaluation.results import POOR
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.judge.scoring.checks.validation_data import listed
-from asia.judge.scoring.description import LiteralCheck
+from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.repeated_fits import RANKED
 from asia.ledger.events import (
     Evaluated,
@@ -36,17 +36,19 @@ from asia.ledger.view import Experiment, SearchView
 # Events and results, one line each.
 
 
-def literal_words(found: LiteralCheck) -> str:
-    """Describe the literals of a new best, its gain, and what it was asked."""
-    text = (
-        f"{found.bits:.0f} bits more than #{found.since:02d} and the library; gain of the held-out "
-        f"log-likelihood {found.gain:.0f} bits"
-    )
+def confirmation_text(found: Confirmation) -> str:
+    """`gain 34 % in V since #01, 30 % on the guard records (21 to 39 %), 34 % with the folds fitted
+    one by one: confirmed`."""
+    since = f"since #{found.since:02d}" if found.since else "from the training mean"
+    parts = [f"gain {found.gain:.1%} in V {since}"]
     if found.guard is not None:
-        text += f"; error on the guard records {error_value(found.guard)}"
-    if found.perturbed is not None:
-        text += f"; a refit with its literals perturbed has {found.perturbed:.3g} times the error"
-    return text
+        low, high = found.guard.low, found.guard.high
+        parts.append(f"{found.guard.value:.1%} on the guard records ({low:.1%} to {high:.1%})")
+    if found.sequential is not None:
+        parts.append(f"{found.sequential:.1%} with the folds fitted one by one")
+    if found.detail:
+        parts.append(f"failed where it was asked ({found.detail})")
+    return f"{', '.join(parts)}: {'' if found.confirmed else 'not '}confirmed"
 
 
 _FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
@@ -243,6 +245,8 @@ def decision_text(e: Experiment, view: SearchView) -> str:
             text += f", each seed below every one of #{held.number:02d}"
     elif e.result.threshold and e.result.status == "inconclusive":
         text += f", within the threshold {e.result.threshold:.2g}"
+    if e.result.status == "unconfirmed":
+        text += ", not confirmed by records that nobody in the search could read"
     return text
 
 

@@ -275,6 +275,12 @@ class SearchView:
         return ended and guarded and not self.looked
 
     @property
+    def guard_bits(self) -> int:
+        """Answers of the guard records that the agent learned, each one bit at most."""
+        asked = (e.result.confirmation for e in self.finished if e.result)
+        return sum(one is not None and one.guard is not None for one in asked)
+
+    @property
     def seconds(self) -> float:
         """Wall-clock time of evaluations: what ran at the same time counts once."""
         results = (e.result for e in self.finished if e.result)
@@ -497,7 +503,7 @@ def published(view: SearchView) -> SearchView:
     experiments = list(view.experiments)
     for i, experiment in enumerate(experiments):
         result, score, failure = experiment.result, experiment.score, experiment.failure
-        hidden = failure is not None and failure.reason in (Reason.RESTART, Reason.LITERALS)
+        hidden = failure is not None and failure.reason is Reason.RESTART
         if result is not None:
             result = _bounded(result)
             experiments[i] = replace(experiment, result=result)
@@ -506,7 +512,8 @@ def published(view: SearchView) -> SearchView:
         if score and (reported is None or result.status == "keep"):
             reported = on_ladder(score.value, step)
         assert reported is not None
-        status = "discard" if hidden else result.status
+        # That a score beat the best is reported with a new best alone.
+        status = "discard" if hidden or result.status == "unconfirmed" else result.status
         result = replace(result, status=status, outcome=Score(reported, ()))
         experiments[i] = replace(experiment, result=result)
     return replace(view, experiments=tuple(experiments))

@@ -10,12 +10,12 @@ error bound); Seborg et al., Process Dynamics and Control, chapter 5 (process mo
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._plugins import library
 from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.lowering.derivatives import derivatives, jacobian
@@ -142,7 +142,7 @@ class LinearModel:
     def control(self, inputs: Sequence[str], outputs: Sequence[str]) -> Any:
         """The same as `control.StateSpace`. Raises UserError where python-control is missing."""
         try:
-            control = import_module("control")
+            control = library("control")
         except ImportError:
             raise UserError("python-control is missing: pip install control") from None
         return control.ss(

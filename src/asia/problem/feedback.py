@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator
 
-from asia._plugins import load_target
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 
@@ -92,8 +91,8 @@ class Loop:
     """Measured references; columns of the records that are no inputs."""
     enters: Literal["controller", "plant"] = "controller"
     """"controller": u = C (r - y). "plant": u = r - C y, an excitation added to the input."""
-    controller: Annotated[Controller | str | None, Field(union_mode="left_to_right")] = None
-    """Controller, or `module:function` that returns it; None where it is unknown."""
+    controller: Controller | None = None
+    """None where it is unknown."""
     inputs: Literal["measured", "explained"] = "measured"
     """"explained" replaces the inputs of the training records by the part that the reference
     explains, which is free of noise: the two-stage method for every family, and for V."""
@@ -106,22 +105,8 @@ class Loop:
             return ()
         return (*(("controller",) if self.controller else ()), "direct", "two_stage")
 
-    def resolved(self, inputs: int, outputs: int, sampling_time: float) -> Loop:
-        """The loop with a controller of numbers.
-
-        Raises:
-            UserError: for a function that returns no controller, and for one that does not fit the
-                signals.
-        """
-        controller, where = self.controller, "[loop] controller"
-        if isinstance(controller, str):
-            where = f"[loop] controller '{controller}'"
-            found = load_target(controller, "[loop] controller")
-            try:
-                made = found() if callable(found) else found
-            except Exception as error:
-                raise UserError(f"{where}: raised {type(error).__name__}: {error}") from error
-            controller = _controller(made, where, sampling_time)
+    def check(self, inputs: int, outputs: int) -> None:
+        """Raise UserError where the loop does not fit the numbers of signals."""
         expected = outputs if self.enters == "controller" else inputs
         if len(self.reference) != expected:
             raise UserError(
@@ -129,40 +114,13 @@ class Loop:
                 f"for each {'output' if self.enters == 'controller' else 'input'}, as "
                 f"enters = '{self.enters}'"
             )
-        if controller is not None:
-            shape = controller.matrices[3].shape
+        if self.controller is not None:
+            shape = self.controller.matrices[3].shape
             if shape != (inputs, outputs):
                 raise UserError(
-                    f"{where}: has {shape[1]} errors and {shape[0]} outputs, expected {outputs} "
-                    f"and {inputs}: those of the plant"
+                    f"[loop] controller: has {shape[1]} errors and {shape[0]} outputs, expected "
+                    f"{outputs} and {inputs}: those of the plant"
                 )
-        return replace(self, controller=controller)
-
-
-def _controller(made: Any, where: str, sampling_time: float) -> Controller:
-    """Controller from coefficients, matrices, or a system of python-control or SciPy."""
-    step = getattr(made, "dt", None)
-    if step is not None and step is not True and abs(step - sampling_time) > 1e-6 * sampling_time:
-        raise UserError(
-            f"{where}: has the sampling time {step} s, expected {sampling_time:g} s: that of the "
-            "records"
-        )
-    if all(hasattr(made, name) for name in "ABCD"):
-        made = tuple(getattr(made, name) for name in "ABCD")
-    elif hasattr(made, "num") and hasattr(made, "den"):
-        made = made.num, made.den
-    try:
-        parts = [np.asarray(part, dtype=np.float64) for part in made]
-        if len(parts) == 2:
-            num, den = (tuple(np.ravel(part).tolist()) for part in parts)
-            return Controller(num, den)
-        a, b, c, d = (_rows(np.atleast_2d(part)) for part in parts)
-        return Controller(a=a, b=b, c=c, d=d)
-    except (TypeError, ValueError) as error:
-        raise UserError(
-            f"{where}: returned no discrete controller ({error}); expected (numerator, "
-            "denominator), (A, B, C, D), or a system of python-control or SciPy"
-        ) from error
 
 
 def _rows(matrix: Sequence[Any] | Array) -> Matrix:
@@ -178,7 +136,7 @@ def loop_table(loop: Loop | None) -> dict[str, Any] | None:
         "enters": loop.enters,
         "inputs": loop.inputs,
     }
-    if isinstance(loop.controller, Controller):
+    if loop.controller is not None:
         found["controller"] = {k: v for k, v in asdict(loop.controller).items() if v}
     return found
 

@@ -10,6 +10,8 @@ from asia.data.trajectory import Array, Trajectory
 from asia.problem.folds import least_case
 from asia.problem.protocol import ProtocolRule
 
+GUARD_SHARE = 0.15
+"""Share of the training records that is held back where an agent can read the rest."""
 WHOLE_RECORDS = 7
 """Training records from which on whole ones are held back."""
 

@@ -7,10 +7,9 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 
-from asia._files import read_file, read_text
+from asia._files import PACKAGE, read_file, read_text
 from asia._text import suggestion
 from asia.data.intake.frequency import read_frequency_response
 from asia.data.intake.sheet import Wanted
@@ -44,7 +43,7 @@ def fit(trajectories, context):
     model = {family}.build({family}.Config(), context)
     return {family}.train(model, trajectories, context, LevenbergMarquardt(30, starts=4))
 '''
-_BUILTIN = Path(str(resources.files("asia"))) / "problems"
+_BUILTIN = PACKAGE / "problems"
 
 
 def builtin_problems() -> tuple[str, ...]:
@@ -199,7 +198,7 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
     inputs, outputs = channels.names
     loop, reference = file.loop, tuple[Signal, ...]()
     if loop is not None:
-        loop = loop.resolved(len(inputs), len(outputs), file.sampling_time)
+        loop.check(len(inputs), len(outputs))
         reference = loop.reference
     for name, count in Counter((*inputs, *outputs, *(s.name for s in reference))).items():
         if count > 1:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 
+from asia._plugins import library
 from asia._text import one_line
 from asia.data.arrays import name_signals, one_a_record, read_arrays
 from asia.data.frequency import FrequencyRecord
@@ -210,7 +210,7 @@ class Problem:
             "symmetry": {k: dict(v) for k, v in symmetry.items()} if symmetry else None,
         }
         # The module loads problems: imported above, it would close a circle.
-        create = import_module("asia.problem.create")
+        create = library("asia.problem.create")
         names = [signal.name for side in signals for signal in side]
         files |= {
             f"{t.name}.csv": create.record_csv(t, names) for t in (*train.records, *test.records)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
-from importlib import resources
 
+from asia._files import PACKAGE
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import model_to_use, tested_model
@@ -48,7 +48,7 @@ class Entry:
 @cache
 def leaderboard(problem_name: str) -> tuple[Entry, ...]:
     """Published results of a built-in problem in the order of the list; empty when it has none."""
-    file = resources.files("asia").joinpath("problems", "leaderboards.csv")
+    file = PACKAGE / "problems" / "leaderboards.csv"
     lines = [x for x in file.read_text("utf-8").splitlines() if x and not x.startswith("#")]
     reader = csv.DictReader(lines, strict=True)
     return tuple(

@@ -10,21 +10,20 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from statistics import fmean, stdev
 
-from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.evaluation.results import Evaluation, same_simulations
-from asia.judge.scoring.description import LiteralCheck
+from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.events import Retest, Status
 from asia.ledger.view import SearchView, on_ladder
-from asia.search.literal_check import LiteralCheckFunction
 from asia.search.pending import retest_fits
 
 _FIRST_SEED = 1_000_000
@@ -40,6 +39,9 @@ scatter is not worth two fits: those of a poor baseline can take as long as a wh
 
 _NARROW = 0.1
 """The largest threshold, over the mean, that an incumbent fitted from fewer seeds may leave."""
+
+Confirm = Callable[[str, Evaluation, SearchView], Confirmation | None]
+"""Confirmation of the gain of a source with this evaluation; None where V alone is evidence."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class Decision:
     """Validation scores given in all fits."""
     lowest: bool = False
     """True if its own fit is the best so far."""
-    literals: LiteralCheck | None = None
-    """Its literals against its gain; None where it is no new best."""
+    confirmation: Confirmation | None = None
+    """Its gain where nobody could read the answers; None where it was not asked."""
 
 
 def decide(
@@ -68,14 +70,14 @@ def decide(
     view: SearchView,
     evaluation: Evaluation | None = None,
     over: float | None = None,
-    check_literals: LiteralCheckFunction | None = None,
+    confirm: Confirm | None = None,
 ) -> Decision:
     """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
     handed over, must also come back bitwise the same from its bytes, and answer like a model. With
     the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
-    say which one is kept. After an objection the folds stay. evaluation: where its first fit was
-    made before; over: as in `Proposed`; check_literals: compares the literals of a new best with
-    its gain."""
+    say which one is kept. After an objection the folds stay. A new best whose gain is not confirmed
+    is neither kept nor handed over. evaluation: where its first fit was made before; over: as in
+    `Proposed`."""
     if evaluation is None:
         evaluation = evaluator.evaluate(source, over=over)
     scores, outcome = evaluation.validation_scores, evaluation.outcome
@@ -83,14 +85,14 @@ def decide(
         status = outcome.reason.status
         timed_out = status == "timeout"
         return Decision(evaluation, status, deadline=timed_out, validation_scores=scores)
-    folds, answers, literals = evaluation.folds, None, None
+    folds, objected, confirmation = evaluation.folds, None, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
     with ExitStack() as opened:
         if lowest and not evaluator.workers.is_sequential:
             # It is checked whatever the retests say.
-            check = partial(evaluator.objection_to_answers, source, folds)
-            answers = opened.enter_context(evaluator.workers.background(check))
+            check = partial(evaluator.objection, source, folds)
+            objected = opened.enter_context(evaluator.workers.background(check))
         if view.started.retests:
             decision = _decide_by_retests(evaluator, source, evaluation, outcome, view)
         else:
@@ -102,14 +104,11 @@ def decide(
             # From other seeds its method is no better. Its own fit is.
             status = "inconclusive"
         if status == "keep" or lowest or view.started.ladder is not None:
-            if answers is None:
-                failure = evaluator.objection(source, folds)
-            else:
-                failure = answers.result() or evaluator.objection_to_consistency(source, folds)
-            if failure is None and check_literals is not None and (status == "keep" or lowest):
-                literals = check_literals(source, evaluation, view)
-                if literals is not None and literals.suspect:
-                    failure = Failure(Reason.LITERALS, literals.suspect)
+            failure = evaluator.objection(source, folds) if objected is None else objected.result()
+            if failure is None and confirm is not None and (status == "keep" or lowest):
+                confirmation = confirm(source, evaluation, view)
+                if confirmation is not None and not confirmation.confirmed:
+                    status, lowest = "unconfirmed", False
             if failure is not None:
                 evaluation = replace(evaluation, outcome=failure)
                 status, lowest = failure.reason.status, False
@@ -119,7 +118,7 @@ def decide(
         status=status,
         deadline=decision.deadline or status == "timeout",
         lowest=lowest,
-        literals=literals,
+        confirmation=confirmation,
     )
 
 

@@ -9,10 +9,9 @@ from typing import Any
 
 from asia._files import read_file
 from asia.agents.leading import LeadingCandidate
-from asia.errors import UserError
-from asia.judge.evaluation.description import guard_error
+from asia.errors import CandidateError, UserError
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.outcome import Outcome
+from asia.judge.scoring.outcome import Failure, Outcome
 from asia.ledger.run import Run, model_to_use
 from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
@@ -21,6 +20,7 @@ from asia.problem.folds import whole
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
 from asia.problem.toml import toml_text
+from asia.search.guard import error_on, simulated
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import final_members, fold_models, loading_stored_models
 
@@ -82,7 +82,11 @@ def error_on_record(
     source, models = run.store.text(best.proposed.source), [run.store.get(n) for n in names]
     with loading_stored_models(view):
         evaluator = make_evaluator(problem, view, isolation=isolation)
-        return use, guard_error(evaluator, source, models, blocks)
+        try:
+            y_hat = simulated(evaluator, source, models, blocks)
+            return use, error_on(evaluator, y_hat, blocks)
+        except CandidateError as error:
+            return use, Failure(error.reason, error.detail)
 
 
 def extended_problem(run: Run, record: Path, directory: Path) -> tuple[Problem, tuple[str, ...]]:

@@ -20,7 +20,6 @@ from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
-    Evaluation,
     FoldResult,
     Refit,
     RefitModel,
@@ -46,7 +45,7 @@ from asia.problem.check import feedback_pairs
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts
-from asia.search.literal_check import LiteralCheckFunction
+from asia.search.guard import Gate
 from asia.search.stress import StressRoom, bounded_model
 
 # Check of a refit: it saw all training records and must fit them as well as the fold models do.
@@ -394,14 +393,8 @@ def _stack_of(
     return Stack(members, float(np.mean(judged)), tuple(judged))
 
 
-def _passes(
-    evaluator: Evaluator,
-    experiment: Experiment,
-    store: Store,
-    view: SearchView,
-    check_literals: LiteralCheckFunction | None,
-) -> bool:
-    """Whether a candidate answers like a model, and its literals are not suspect."""
+def _passes(evaluator: Evaluator, experiment: Experiment, store: Store) -> bool:
+    """Whether a candidate answers like a model."""
     score, each = experiment.score, zip(experiment.folds, evaluator.data.folds, strict=True)
     assert score is not None
     folds = [
@@ -409,13 +402,7 @@ def _passes(
                    np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
         for one, (kept, fold) in zip(score.folds, each, strict=True)
     ]  # fmt: skip
-    source = store.text(experiment.proposed.source)
-    if evaluator.objection(source, folds) is not None:
-        return False
-    found = None
-    if check_literals is not None:
-        found = check_literals(source, Evaluation(score, tuple(folds)), view)
-    return found is None or not found.suspect
+    return evaluator.objection(store.text(experiment.proposed.source), folds) is None
 
 
 def refit_winner(
@@ -425,7 +412,7 @@ def refit_winner(
     best: Experiment,
     store: Store,
     metric: str,
-    check_literals: LiteralCheckFunction | None = None,
+    gate: Gate,
 ) -> Refitted:
     """The last line of a search, but for looks at the guard. Workers that end for no fault of the
     candidate leave a search without a refit, not without a model."""
@@ -435,6 +422,7 @@ def refit_winner(
     # Experiments whose fits ignore a declared loop are no members beside a winner that does not.
     sound = _sound_in_loop(problem, view, store)
     biased = {e.number for e in view.finished} - sound if best.number in sound else set[int]()
+    biased |= {e.number for e in view.finished if e.result and e.result.status == "unconfirmed"}
 
     def stacked(refused: Collection[int] = ()) -> Stack | None:
         if problem.control is not None:  # A mean of responses is no response.
@@ -446,8 +434,10 @@ def refit_winner(
 
     def is_sound(e: Experiment) -> bool:
         """Whether it passes the checks of a new best; with the Ladder all were checked."""
-        known = e.kept or e.lowest or view.started.ladder is not None
-        return known or _passes(evaluator, e, store, view, check_literals)
+        if e.kept or e.lowest:
+            return True
+        known = view.started.ladder is not None or _passes(evaluator, e, store)
+        return known and gate.admits(e, best, view)
 
     with ExitStack() as opened:
         make = stacked

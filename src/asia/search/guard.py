@@ -1,36 +1,172 @@
-"""The look at the guard: how the last incumbents do on records that no search has seen."""
+"""The gate: a new best is kept only if records that nobody in the search could read confirm it."""
 
 from __future__ import annotations
 
-from asia.judge.evaluation.description import guard_error
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from asia.candidate import library_only
+from asia.data.trajectory import Array
+from asia.errors import CandidateError
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.scoring.outcome import Score
+from asia.judge.evaluation.references import MEAN_REFERENCE
+from asia.judge.evaluation.results import Evaluation, FoldResult, mean_simulation
+from asia.judge.scoring.confirmation import Confirmation, guard_gain, share_gained
+from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
+from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.artifacts import Store
 from asia.ledger.events import GuardLooked, GuardScore
-from asia.ledger.view import SearchView
-from asia.problem.folds import whole
+from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Block, whole
 from asia.problem.problem import Problem
 from asia.problem.seal import open_guard
 
 NEW_BESTS = 3
+Simulation = tuple[Array, ...]
 
 
-def look_at_guard(
-    problem: Problem, evaluator: Evaluator, store: Store, view: SearchView
-) -> GuardLooked:
-    """Score the ensembles of the last three new bests on the guard records, in the search's metric
-    over the standard deviations of all training records. Where the same ones were looked at before,
-    nothing new is learned and the look is not counted again."""
-    bests = view.bests[-NEW_BESTS:]
-    last = view.looks[-1] if view.looks else None
-    if last is not None and [s.experiment for s in last.scores] == [e.number for e in bests]:
-        return last
-    blocks = whole(open_guard(problem), problem.protocol)
-    scores: list[GuardScore] = []
-    for experiment in bests:
-        models = [store.get(fold.model) for fold in experiment.folds]
-        outcome = guard_error(evaluator, store.text(experiment.proposed.source), models, blocks)
-        scores.append(GuardScore(experiment.number, outcome))
-    values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]
-    pick = min(values)[1] if values else None
-    return GuardLooked(look=1 + (last.look if last else 0), scores=tuple(scores), pick=pick)
+def simulated(
+    evaluator: Evaluator, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+) -> Simulation:
+    """Return the mean simulation (H, ny) of each block by fold models. Raises CandidateError."""
+    pairs = [(source, model) for model in models]
+    return mean_simulation(evaluator.models.simulate_scored(pairs, blocks))
+
+
+def error_on(evaluator: Evaluator, y_hat: Simulation, blocks: Sequence[Block]) -> Score:
+    """Score a simulation in the search's metric over the standard deviations of all training
+    records."""
+    data = evaluator.data
+    y = [block.y for block in blocks]
+    return combine([score_fold(y, y_hat, data.scale, data.rule.metric)])
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Asks the guard records, and a fit of one fold at a time, whether a gain in V is real."""
+
+    problem: Problem
+    evaluator: Evaluator
+    store: Store
+    _known: dict[int, Simulation] = field(default_factory=dict[int, Simulation])
+    """Simulations of the guard records by experiment; 0 for the training mean."""
+
+    def confirm(self, source: str, evaluation: Evaluation, view: SearchView) -> Confirmation | None:
+        """Confirm the gain of a candidate that is about to be a new best. None where V alone is
+        evidence: the agent cannot read the training records, or did not write the candidate."""
+        score = evaluation.outcome
+        if not view.started.gate or not view.finished or not isinstance(score, Score):
+            return None
+        since, before = self._before(view)
+        if before is None:
+            return None
+        found = Confirmation(since, share_gained(before, score.value))
+        try:
+            sequential = self._sequential(source, evaluation.folds, view)
+            guard = None
+            if view.started.guard_digest is not None:
+                models = [fold.model for fold in evaluation.folds]
+                guard = simulated(self.evaluator, source, models, self._blocks)
+        except CandidateError as error:
+            return Confirmation(since, found.gain, detail=error.reason.value)
+        return Confirmation(
+            since,
+            found.gain,
+            None if guard is None else self._gain(self._simulation(since, view), guard),
+            None if sequential is None else share_gained(before, sequential),
+        )
+
+    def admits(self, e: Experiment, best: Experiment, view: SearchView) -> bool:
+        """Return whether a candidate that was no new best may be handed over beside the best one:
+        on the guard records it may be worse by half of what it is worse in V."""
+        if not view.started.gate or e.score is None or best.score is None or e.result is None:
+            return True
+        if e.result.status == "unconfirmed":
+            return False
+        if view.started.guard_digest is None:
+            return True
+        try:
+            gain = self._gain(self._simulation(best.number, view), self._simulation(e.number, view))
+        except CandidateError:
+            return False
+        return Confirmation(
+            best.number, share_gained(best.score.value, e.score.value), gain
+        ).confirmed
+
+    def look(self, view: SearchView) -> GuardLooked:
+        """Score the last three new bests on the guard records when the search ends, and compare
+        the gain of the last one since the first with that in V. Where the same ones were looked at
+        before, nothing new is learned and the look is not counted again."""
+        bests = view.bests[-NEW_BESTS:]
+        last = view.looks[-1] if view.looks else None
+        if last is not None and [s.experiment for s in last.scores] == [e.number for e in bests]:
+            return last
+        scores = tuple(GuardScore(e.number, self._outcome(e, view)) for e in bests)
+        values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]
+        pick = min(values)[1] if values else None
+        total, best = None, bests[-1]
+        since, before = self._before(view, bests[-1])
+        if isinstance(scores[-1].outcome, Score) and best.score is not None and before is not None:
+            gain = self._gain(self._simulation(since, view), self._simulation(best.number, view))
+            total = Confirmation(since, share_gained(before, best.score.value), gain)
+        return GuardLooked(1 + (last.look if last else 0), scores, pick, total=total)
+
+    def _before(
+        self, view: SearchView, final: Experiment | None = None
+    ) -> tuple[int, float | None]:
+        """Number and V of what a gain is counted from: the best so far, or, for the whole gain of
+        the final best, the first one; the training mean where there is no other."""
+        bests = view.bests if final is None else view.bests[:1]
+        if bests and bests[-1] != final and bests[-1].score is not None:
+            return bests[-1].number, bests[-1].score.value
+        return 0, view.reference_value(MEAN_REFERENCE)
+
+    def _sequential(
+        self, source: str, folds: Sequence[FoldResult], view: SearchView
+    ) -> float | None:
+        """V with the folds fitted one after the other, each in namespaces of its own, so that none
+        can tell another one anything; None where they were, or where no code but that of the
+        library runs. Raises CandidateError."""
+        if view.started.isolation_strict or library_only(source):
+            return None
+        values: list[float] = []
+        random = np.random.default_rng(self.evaluator.models.check_seed(source, "sequential"))
+        for place in random.permutation(len(folds)).tolist():
+            with self.evaluator.workers.fresh_workers():
+                result = self.evaluator.fit_fold(source, place, folds[place].attempt)
+            if isinstance(result, Failure):
+                raise CandidateError(result.reason, result.detail)
+            values.append(result.score.value)
+        return float(np.mean(values))
+
+    @cached_property
+    def _blocks(self) -> tuple[Block, ...]:
+        return tuple(whole(open_guard(self.problem), self.problem.protocol))
+
+    def _simulation(self, number: int, view: SearchView) -> Simulation:
+        """Simulation of the guard records by the fold models of an experiment. Raises
+        CandidateError."""
+        if number not in self._known:
+            if number:
+                e = view.experiment(number)
+                models = [self.store.get(fold.model) for fold in e.folds]
+                source = self.store.text(e.proposed.source)
+                self._known[number] = simulated(self.evaluator, source, models, self._blocks)
+            else:
+                records = self.evaluator.data.records
+                mean = np.nanmean(np.concatenate([one.measured_y for one in records]), axis=0)
+                self._known[0] = tuple(np.tile(mean, (len(b.y), 1)) for b in self._blocks)
+        return self._known[number]
+
+    def _outcome(self, e: Experiment, view: SearchView) -> Outcome:
+        try:
+            return error_on(self.evaluator, self._simulation(e.number, view), self._blocks)
+        except CandidateError as error:
+            return Failure(error.reason, error.detail)
+
+    def _gain(self, before: Simulation, after: Simulation) -> Interval:
+        data, y = self.evaluator.data, [block.y for block in self._blocks]
+        return guard_gain(y, before, after, data.scale, data.rule.metric)

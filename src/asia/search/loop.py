@@ -48,8 +48,7 @@ from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
 from asia.search.decision import decide
 from asia.search.final import refit_winner
-from asia.search.guard import look_at_guard
-from asia.search.literal_check import LiteralExaminer
+from asia.search.guard import Gate
 from asia.search.pending import PendingFits, keep_folds, keep_output
 from asia.search.rules import bound_on_folds, next_leg, stop_reason
 from asia.search.steering import Steering
@@ -111,9 +110,9 @@ class Loop:
         return PendingFits(self.view.started.parallel, self.evaluator, self.store, self._completed)
 
     @cached_property
-    def literal_examiner(self) -> LiteralExaminer:
-        """Check of the literals of new bests."""
-        return LiteralExaminer(self.problem, self.evaluator, self.store)
+    def gate(self) -> Gate:
+        """Confirmation of new bests."""
+        return Gate(self.problem, self.evaluator, self.store)
 
     @cached_property
     def known_trials(self) -> KnownTrials:
@@ -163,13 +162,7 @@ class Loop:
         if self.view.refitted is None and best is not None:
             with self.watch.activity(Activity.REFIT, swallows=True):
                 refitted = refit_winner(
-                    self.problem,
-                    self.evaluator,
-                    self.view,
-                    best,
-                    self.store,
-                    metric,
-                    self.literal_examiner.check,
+                    self.problem, self.evaluator, self.view, best, self.store, metric, self.gate
                 )
                 assert best.score is not None
                 shown = self._shown()
@@ -178,7 +171,7 @@ class Loop:
             self.record(refitted)
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):
-                look = look_at_guard(self.problem, self.evaluator, self.store, self.view)
+                look = self.gate.look(self.view)
             self.record(look)
         self.steering.record_noted(self.record)
 
@@ -332,9 +325,7 @@ class Loop:
             self.watch.waited(fitted.lane, begin - start)
         first = None if fitted is None else fitted.evaluation
         source = self.store.text(proposed.source)
-        decision = decide(
-            self.evaluator, source, view, first, proposed.over, self.literal_examiner.check
-        )
+        decision = decide(self.evaluator, source, view, first, proposed.over, self.gate.confirm)
         evaluation = decision.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = keep_folds(self.store, evaluation.folds)
@@ -357,7 +348,7 @@ class Loop:
             elapsed=None if view.started.parallel == 1 else now - start,
             ended_folds=evaluation.ended_folds,
             failed_checks=evaluation.failed_checks,
-            literals=decision.literals,
+            confirmation=decision.confirmation,
         )
 
 

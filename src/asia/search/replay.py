@@ -37,7 +37,7 @@ from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.search.agent_views import agent_view, as_bytes, problem_facts
 from asia.search.decision import decide
-from asia.search.literal_check import LiteralExaminer
+from asia.search.guard import Gate
 from asia.search.rules import stop_reason
 from asia.search.run import (
     LOCK,
@@ -154,8 +154,8 @@ class _Replaying:
     items: list[Replayed] = field(default_factory=list[Replayed])
 
     @cached_property
-    def _examiner(self) -> LiteralExaminer:
-        return LiteralExaminer(self.problem, self.evaluator, self.run.store)
+    def _gate(self) -> Gate:
+        return Gate(self.problem, self.evaluator, self.run.store)
 
     def run_all(self) -> None:
         """Replay every event in order, each with the view before it."""
@@ -261,7 +261,7 @@ class _Replaying:
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
         judged = decide(
-            self.evaluator, source, view, over=proposed.over, check_literals=self._examiner.check
+            self.evaluator, source, view, over=proposed.over, confirm=self._gate.confirm
         )
         item = self._compare(item, event.outcome, judged.evaluation.outcome)
         if item.outcome != "same":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import math
 import platform
 import re
@@ -15,8 +14,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Final, get_args
 
-from asia._plugins import parts
-from asia.agents.registry import packages_of
+from asia._plugins import parts, version_of
+from asia.agents.registry import can_read_records, packages_of
 from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
@@ -39,10 +38,12 @@ from asia.ledger.chain import Chain, write_whole
 from asia.ledger.events import RESUMABLE, Extended, Leg, Resumed, Started
 from asia.ledger.exports import write_exports
 from asia.ledger.folder import check_run_folder
+from asia.ledger.looks import copy_words, look_by_copy
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
 from asia.problem.folds import Fold, fold_names, make_folds
+from asia.problem.held_back import GUARD_SHARE
 from asia.problem.load import with_models
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
@@ -66,7 +67,7 @@ def environment(*agents: str) -> dict[str, str]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         **{part.package: part.version for part in parts()},
-        **{name: importlib.metadata.version(name) for name in names},
+        **{name: version_of(name) for name in names},
         "asia.models": library_digest(),
     }
 
@@ -127,6 +128,17 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
                     f"{path} would show the agent {place}, which contains test data or "
                     "their key: give a smaller folder"
                 )
+
+
+def guard_share(agents: Iterable[str], wanted: bool | None) -> float | None:
+    """Return the share of the training records to hold back as guard records; None for none.
+
+    Args:
+        agents: names of the agents that propose.
+        wanted: choice of the user; None to hold some back where an agent can read the rest.
+    """
+    held = can_read_records(agents) if wanted is None else wanted
+    return GUARD_SHARE if held else None
 
 
 LOCK = "problem.lock.toml"
@@ -194,7 +206,8 @@ def prepare(
             sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
-    for one in (agent_name, *(leg.agent for leg in legs)):
+    names = [leg.agent for leg in legs] or [agent_name]
+    for one in (agent_name, *names):
         if problem.control is not None and one in _MODELS_ONLY:
             raise UserError(
                 f"agent {one} proposes models, and '{problem.name}' asks for a controller: use "
@@ -266,7 +279,7 @@ def prepare(
         retests=0 if rule.ladder is not None else budget.retests,
         parallel=parallel,
         stop_folds=stop_folds,
-        literal_check=True,
+        gate=problem.control is None and can_read_records(names),
         retest_limit=RETEST_LIMIT,
     )
     return Prepared(problem, directory, lock, started, resumes)
@@ -295,6 +308,13 @@ def search(
         view = chain.view
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
+        limits = prepared.started.experiments, prepared.started.hours
+        goes_on = not view.complete or limits != (view.budget, view.hours)
+        if goes_on and (copy := look_by_copy(directory, view)) is not None:
+            raise UserError(
+                f"{copy_words(view.started.run, copy)}, which ended the search: choose another "
+                "--name"
+            )
         level = Isolation(prepared.started.isolation)
         evaluator = make_evaluator(problem, view, executor, isolation=level, controllers=True)
         evaluator.workers.on_loss = RunningLosses(directory)
@@ -312,9 +332,8 @@ def search(
         # A search that was killed behind its last event has not written them.
         write_exports(directory, view)
         on_start(view)
-        expected = prepared.started
-        if (expected.experiments, expected.hours) != (view.budget, view.hours):
-            loop.record(Extended(expected.experiments, expected.hours))
+        if limits != (view.budget, view.hours):
+            loop.record(Extended(*limits))
         stopped = loop.view.stopped
         if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
             loop.record(Resumed())

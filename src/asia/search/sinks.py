@@ -8,12 +8,10 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, replace
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, Protocol, Self, cast
 
-from asia._plugins import load_target, parts_of
+from asia._plugins import is_installed, library, load_target, parts_of
 from asia._text import nearest, say
 from asia.errors import UserError
 from asia.ledger.chain import write_whole
@@ -146,7 +144,7 @@ class MlflowSink:
     `asia report` wrote it."""
 
     def __init__(self, directory: Path, view: SearchView) -> None:
-        self.directory, self.client = directory, import_module("mlflow").MlflowClient()
+        self.directory, self.client = directory, library("mlflow").MlflowClient()
         problem, place = view.started.problem, str(directory.resolve())
         found = self.client.get_experiment_by_name(problem)
         there = found.experiment_id if found else self.client.create_experiment(problem)
@@ -166,7 +164,7 @@ class MlflowSink:
         self._send(view)
 
     def _send(self, view: SearchView) -> None:
-        entities, now = import_module("mlflow.entities"), int(1000 * time.time())
+        entities, now = library("mlflow.entities"), int(1000 * time.time())
         for number, title, figures in unsent(view, self.sent):
             best = "none" if view.best is None else f"#{view.best.number:02d}"
             tags = {f"experiment_{number:04d}": title, "best": best}
@@ -201,7 +199,7 @@ class TrackioSink:
         self.sent: set[int] = set()
         if self.kept.is_file():
             self.sent = set(map(int, json.loads(self.kept.read_bytes())))
-        self.run = import_module("trackio").init(
+        self.run = library("trackio").init(
             start.problem, name=start.run, config=_facts(view), resume="allow", embed=False
         )
         self._send(view)
@@ -227,7 +225,7 @@ def find_sink(name: str) -> OpenSink:
     """The sink of this name or `module:Name`. Raises UserError where there is none."""
     known = {part.name: part for part in parts_of("asia.sinks")}
     if name in _SINKS:
-        if find_spec(name) is None:
+        if not is_installed("mlflow" if name == "mlflow" else "trackio"):
             raise UserError(
                 f"--sink {name} needs the extra tracking: pip install '.[tracking]' in a clone of "
                 "ASIA"

@@ -21,7 +21,8 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use
 from asia.ledger.exports import write_exports
-from asia.ledger.run import model_to_use, open_run
+from asia.ledger.looks import copy_words, look_by_copy, look_of, looks_at, record_look
+from asia.ledger.run import model_to_use
 from asia.ledger.verification import check_lock, verify
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Block, whole
@@ -55,7 +56,7 @@ class UnsealResult:
     first_time: bool
     """False when this run had been unsealed before."""
     opened_before: tuple[str, ...]
-    """Names of the other runs in the same folder that had opened the same test before."""
+    """The other runs known to this user that had opened the same test before, with the time."""
 
 
 def unseal(
@@ -79,7 +80,7 @@ def unseal(
     Raises:
         UserError: the search is not finished, has no winner or no test, a line of the ledger or an
             artifact does not verify, problem or test data are not those of its first line, the key
-            is missing, or the level is process without consent.
+            is missing, the level is process without consent, or a copy of the run opened the test.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = chain.view
@@ -106,9 +107,17 @@ def unseal(
         problem = load_lock(directory / LOCK)
         verify(directory, check=ScoreCheck(directory, problem))
         check_openable(problem, keys)
-        before = _openers(directory, digest)
+        look = look_of(directory)
+        if (copy := look_by_copy(directory, view)) is not None:
+            raise UserError(
+                f"{copy_words(run, copy)}: nothing was opened; that copy has the result"
+            )
+        others = looks_at(digest, directory)
+        before = tuple(one.words for one in others if one.origin != look.origin)
         if view.unsealing is None:
             chain.append(Unsealing(best.number, digest, before, consented))
+        if not record_look(digest, look) and view.unsealing is None:
+            raise UserError(f"the test of run '{run}' is being opened by a copy of it")
         evaluator = make_evaluator(problem, view, isolation=level, controllers=True)
         event = _score(directory, view, best, evaluator, problem, open_test(problem, keys))
         chain.append(event)
@@ -122,21 +131,6 @@ def needs_consent(view: SearchView, level: Isolation | None = None) -> bool:
     unopened = view.unsealing is None or not view.unsealing.process_consent
     open_levels = {level.isolation.value for level in LEVELS.values() if not level.confined}
     return unopened and not open_levels.isdisjoint({view.started.isolation, level})
-
-
-def _openers(directory: Path, digest: str) -> tuple[str, ...]:
-    """Return the names of the other runs in the same folder that have opened the test."""
-    names: list[str] = []
-    for ledger in sorted(directory.parent.glob("*/ledger.jsonl")):
-        if ledger.parent.name == directory.name:
-            continue
-        try:
-            other = open_run(ledger.parent).view
-        except UserError:
-            continue
-        if other.unsealing is not None and other.unsealing.test_digest == digest:
-            names.append(ledger.parent.name)
-    return tuple(names)
 
 
 def _score(

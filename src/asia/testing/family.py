@@ -5,10 +5,10 @@ from __future__ import annotations
 import types
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 
+from asia._plugins import family_module
 from asia.agents.library.family import Family
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.view import Facts
@@ -65,7 +65,7 @@ def check_recipe(recipe: Recipe) -> None:
     Raises:
         UserError: for a setting that they do not accept
     """
-    import_module(f"{recipe.package}.{recipe.family}").Config(**dict(recipe.config))
+    family_module(recipe.package, recipe.family).Config(**dict(recipe.config))
     method: Callable[..., object] = getattr(methods, recipe.method)
     method(**dict(recipe.options))
     assert read_recipe(recipe.source("Anything.")) == recipe, "the source does not read back"

@@ -226,6 +226,6 @@ def test_a_missing_key_and_a_missing_package(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(UserError, match="OPENAI_API_KEY is not set"):
         LlmAgent(LlmSettings("made-up"))
     LlmAgent(LlmSettings("made-up", "http://localhost:1/v1"))
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("asia._plugins.find_spec", lambda name: None)
     with pytest.raises(UserError, match=r"pip install '\.\[llm\]'"):
         LlmAgent(LlmSettings("made-up", "http://localhost:1/v1"))

@@ -33,7 +33,7 @@ def test_sources_that_bind_fit_are_accepted(source: str):
         ("x = '\ud800'", Reason.SYNTAX),
         ("fit = " + "-" * 20000 + "1", Reason.SYNTAX),
         ("fit = " + "(" * 5000 + ")" * 5000, Reason.SYNTAX),
-        ("#" * (64 * 1024) + "\n" + PLAIN, Reason.LITERAL_DATA),
+        ("#" * (64 * 1024) + "\n" + PLAIN, Reason.SOURCE_SIZE),
         ("", Reason.CONTRACT),
         ("def train(t, c):\n    def fit(): pass", Reason.CONTRACT),
         ("class Model:\n    def fit(self): pass", Reason.CONTRACT),

@@ -115,7 +115,7 @@ FRAME = 'Traceback:\n  File "candidate.py", line 12, in fit\n    x\n'
         (Reason.CONTRACT, "fit returned M0123, which has no simulate method", ""),
         (Reason.MODEL_SIZE, "100123456 bytes, the limit is 64 MB", ""),
         (Reason.WRONG_LENGTH, "got shape (1, 2, ?), expected (1, 2, 3)", ""),
-        (Reason.LITERAL_DATA, "its names hold 3000 bytes", "its names hold 3000 bytes"),
+        (Reason.SOURCE_SIZE, "the source has 70000 bytes", "the source has 70000 bytes"),
         (Reason.THREADS, "at most 272 threads", "at most 272 threads"),
     ],
 )

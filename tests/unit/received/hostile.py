@@ -149,6 +149,35 @@ def plant_agent(folder: Path, marks: Path) -> None:
     )
 
 
+MARK = """
+from pathlib import Path
+
+Path({marks!r}, "module").touch()
+"""
+MODULES = (
+    "sitecustomize", "usercustomize", "conftest", "numpy", "json", "asia", "candidate", "plant",
+    "controller", "cards", "landlock", "seccomp", "__main__",
+)  # fmt: skip
+
+
+def plant_modules(folder: Path, marks: Path) -> None:
+    """Files that Python or a tool imports by themselves, and files named like modules; an artifact
+    that leaves a mark when it is unpickled."""
+    for name in MODULES:
+        (folder / f"{name}.py").write_text(MARK.format(marks=str(marks)))
+    (folder / "model.pkl").write_bytes(
+        b"cpathlib\nPath.touch\n(cpathlib\nPath\n(V" + f"{marks}/pickle".encode() + b"\ntRtR."
+    )
+
+
+def name_code(problem: Path, folder: Path) -> None:
+    """A copy of a problem whose file names code wherever text names something."""
+    shutil.copytree(problem, folder)
+    text = (folder / "problem.toml").read_text()
+    loop = '[loop]\nreference = "r"\ncontroller = "controller:function"\n'
+    (folder / "problem.toml").write_text(f"{text}{loop}")
+
+
 def as_json(text: str) -> object:
     """The last line of an answer."""
     return json.loads(text.strip().splitlines()[-1])

@@ -1,22 +1,30 @@
-"""Opens one hostile run folder with every command and every Python entry: nothing of it executes
-outside the sandbox. SECURITY.md has the table of what each executes."""
+"""Opens hostile folders, of a run and of problems, with every command and every Python entry:
+nothing of them executes outside the sandbox. SECURITY.md has the table of what each executes."""
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from starlette.testclient import TestClient
+from typer.core import TyperGroup
 
 import asia
 from asia.analysis.ablation import ablate
 from asia.analysis.confirmation import confirm
 from asia.analysis.validation import validate
 from asia.errors import UserError
+from asia.interfaces.cli import app
 from asia.interfaces.view.app import TokenOnly, kept_token, make_app
 from asia.interfaces.view.followed import RunFolder
 from asia.interfaces.view.streams import Streams
@@ -26,7 +34,13 @@ from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation
 from asia.search.replay import replay_run
 from tests.unit.interfaces.cli.conftest import command_line
-from tests.unit.received.hostile import HostileRun, make_hostile_run, plant_agent
+from tests.unit.received.hostile import (
+    HostileRun,
+    make_hostile_run,
+    name_code,
+    plant_agent,
+    plant_modules,
+)
 from tests.unit.search.toy import arx
 
 ROOT = Path(__file__).parents[3]
@@ -52,59 +66,113 @@ def gift(received: HostileRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     here = tmp_path / "here"
     here.mkdir()
     plant_agent(here, received.marks)
+    shutil.copytree(received.problem, here / "problem")
+    name_code(received.problem, here / "named")
+    shutil.copytree(here / "named", here, dirs_exist_ok=True)
+    for folder in (here, here / "named", here / "problem"):
+        plant_modules(folder, received.marks)
     monkeypatch.chdir(here)
     monkeypatch.delenv("ASIA_RUNS", raising=False)
-    return received.copy(here / "runs")
+    copy = received.copy(here / "runs")
+    plant_modules(copy.directory, received.marks)
+    plant_modules(copy.directory / "artifacts", received.marks)
+    return copy
 
 
 def series(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.zeros((3, 1)), np.zeros((3, 1)), np.ones((samples, 1))
 
 
-# Row of the table, words of the command, exit codes.
-COMMANDS: tuple[tuple[str, tuple[str, ...], tuple[int, ...]], ...] = (
-    ("asia status", ("status", "gift"), (0,)),
-    ("asia status", ("status", "gift", "--json", "--profile"), (0,)),
-    ("asia show", ("show", "gift"), (0,)),
-    ("asia show", ("show", "gift", "--json"), (0,)),
-    ("asia show", ("show", "gift", "1", "2"), (0,)),
-    ("asia show", ("show", "gift", "2", "--source"), (0,)),
-    ("asia report", ("report", "gift"), (0,)),
-    ("asia report", ("report", "gift", "--figures", "figures", "--latex", "tables"), (0,)),
-    ("asia report", ("report", "gift", "--methods"), (0,)),
-    ("asia report", ("report", "--bundle", "site"), (0,)),
-    ("asia verify", ("verify", "gift"), (0,)),
-    ("asia verify --replay", ("verify", "gift", "--replay"), (2,)),
-    (
-        "asia verify --replay",
-        ("verify", "gift", "--replay", "--trust-agent", "hostile_agent:Other"),
-        (2,),
-    ),
-    ("asia validate", ("validate", "gift"), (0,)),
-    (
-        "asia validate --repeat",
-        ("validate", "gift", "--repeat", "--top", "1", "--seeds", "1"),
-        (0,),
-    ),
-    ("asia validate --ablate", ("validate", "gift", "--ablate", "--seeds", "1"), (0,)),
-    ("asia export", ("export", "gift", "--to", "numpy"), (2,)),
-    ("asia unseal", ("unseal", "gift", "--yes"), (2,)),
-    ("asia unseal", ("unseal", "gift", "--yes", "--yes-process"), (0,)),
-    ("asia steer", ("steer", "gift", "--note", "hello"), (0,)),
+# Words of a command, its row in the table, exit codes. `named` is a problem whose file names code,
+# `problem` one with code beside it; the current folder is a problem of the first kind too.
+DONE, REFUSED, ANY = (0,), (2,), (0, 1, 2, 3)
+COMMANDS: tuple[tuple[str, str | None, tuple[int, ...]], ...] = (
+    ("init mill --train problem/train.csv --inputs u --outputs y --sampling-time 0.5", None, DONE),
+    ("check .", None, REFUSED),
+    ("check named", None, REFUSED),
+    ("check problem", None, DONE),
+    ("run named --agent random", None, REFUSED),
+    ("run problem --agent random --experiments 2 --name new", "asia run", (0, 3)),
+    ("status gift", None, DONE),
+    ("status gift --json --profile", None, DONE),
+    ("show gift", None, DONE),
+    ("show gift --json", None, DONE),
+    ("show gift 1 2", None, DONE),
+    ("show gift 2 --source", None, DONE),
+    ("report gift", None, DONE),
+    ("report gift --figures figures --latex tables", None, DONE),
+    ("report gift --methods", None, DONE),
+    ("report --bundle site", None, DONE),
+    ("verify gift", None, DONE),
+    ("verify gift --replay", "asia verify --replay", REFUSED),
+    ("verify gift --replay --trust-agent hostile_agent:Other", "asia verify --replay", REFUSED),
+    ("validate gift", "asia validate", DONE),
+    ("validate gift --repeat --top 1 --seeds 1", "asia validate --repeat", DONE),
+    ("validate gift --ablate --seeds 1", "asia validate --ablate", DONE),
+    ("linear gift", "asia linear", ANY),
+    ("control gift --settling 20", "asia control", ANY),
+    ("monitor gift problem/test.csv", "asia monitor", ANY),
+    ("certify gift", "asia certify", ANY),
+    ("next gift --duration 20", "asia next", ANY),
+    ("extend gift problem/test.csv --experiments 2", "asia extend", ANY),
+    ("export gift --to numpy", "asia export", REFUSED),
+    ("unseal gift --yes", "asia unseal", REFUSED),
+    ("unseal gift --yes --yes-process", "asia unseal", DONE),
+    ("steer gift --note hello", None, DONE),
+    ("note gift hello", None, DONE),
+    ("query 'select *, source(run, number) from experiments'", None, DONE),
+    ("agent workspace named made", None, REFUSED),
+    ("agent mcp named", None, REFUSED),
+    ("agent config claude named", None, ANY),
+    ("agent check --base-url http://127.0.0.1:9/v1 --model none --steps 1", None, ANY),
+    ("agent try --dir problem --dry-run", None, REFUSED),
+    ("try --dir problem --dry-run", None, REFUSED),
+    ("bench paper named", None, REFUSED),
+    ("bench suite --only named", None, REFUSED),
+    ("bench agents named", None, REFUSED),
+    ("doctor", None, DONE),
+    ("models --problem named", None, REFUSED),
+    ("models --problem problem", None, DONE),
+    ("demo", None, DONE),
 )
+SERVED = {"view"}
+"""Commands that serve until they are ended: `ENTRIES` has what they serve."""
+
+
+def leaves(command: Any, path: str = "") -> Iterator[str]:
+    """Names of all commands below one."""
+    if isinstance(command, TyperGroup):
+        for name, one in command.commands.items():
+            yield from leaves(one, f"{path} {name}".strip())
+    else:
+        yield path
+
+
+def test_every_command_is_tried() -> None:
+    known = set(leaves(typer.main.get_command(app)))
+    tried = {c for c in known for words, *_ in COMMANDS if f"{words} ".startswith(f"{c} ")}
+    assert known - tried == SERVED
+
+
+@pytest.mark.parametrize(("words", "row", "codes"), COMMANDS, ids=[c[0] for c in COMMANDS])
+def test_no_command_executes_it_outside_the_sandbox(
+    words: str, row: str | None, codes: tuple[int, ...], gift: HostileRun
+) -> None:
+    done = command_line(*shlex.split(words))
+    assert done.code in codes, done.err
+    assert "Traceback" not in done.err
+    assert gift.marked == []
 
 
 @pytest.mark.parametrize(
-    ("row", "words", "codes"), COMMANDS, ids=[" ".join(c[1]) for c in COMMANDS]
+    "words", ["check .", "check problem", "status gift", "report gift", "validate gift"]
 )
-def test_no_command_executes_it_outside_the_sandbox(
-    row: str, words: tuple[str, ...], codes: tuple[int, ...], gift: HostileRun
+def test_no_process_of_a_command_imports_from_the_current_folder(
+    words: str, gift: HostileRun
 ) -> None:
-    done = command_line(*words)
-    assert done.code in codes, done.err
-    assert "Traceback" not in done.err
-    if done.code:
-        assert done.err.splitlines()[-1].startswith("asia: ")
+    program = Path(sys.executable).with_name("asia")
+    done = subprocess.run([program, *words.split()], capture_output=True, text=True, timeout=600)
+    assert done.returncode == (2 if words == "check ." else 0), done.stderr
     assert gift.marked == []
 
 
@@ -150,15 +218,15 @@ def unsealed(gift: HostileRun) -> None:
     assert asia.unseal(gift.directory, process_consent=True).first_time
 
 
-ENTRIES: tuple[tuple[str, Callable[[HostileRun], object]], ...] = (
-    ("asia.load_run", lambda gift: asia.load_run(gift.directory)),
+ENTRIES: tuple[tuple[str | None, Callable[[HostileRun], object]], ...] = (
+    (None, lambda gift: asia.load_run(gift.directory)),
     ("asia.SystemIdentifier", estimated),
-    ("asia.open_run", lambda gift: asia.open_run(gift.directory).view),
+    (None, lambda gift: asia.open_run(gift.directory).view),
     ("asia.simulate", lambda gift: asia.simulate(gift.directory, *series(20))),
     ("asia.simulate", lambda gift: asia.simulate(gift.directory, *series(20), bands=0.9)),
-    ("asia.write_report", lambda gift: asia.write_report(gift.directory)),
+    (None, lambda gift: asia.write_report(gift.directory)),
     ("asia.unseal", unsealed),
-    ("asia view", view_pages),
+    (None, view_pages),
     ("asia verify --replay", refused_replay),
     ("asia validate", lambda gift: validate(gift.directory)),
     (
@@ -175,7 +243,7 @@ ENTRIES: tuple[tuple[str, Callable[[HostileRun], object]], ...] = (
     ("row", "enter"), ENTRIES, ids=[f"{k} {e[0]}" for k, e in enumerate(ENTRIES)]
 )
 def test_no_function_executes_it_outside_the_sandbox(
-    row: str, enter: Callable[[HostileRun], object], gift: HostileRun
+    row: str | None, enter: Callable[[HostileRun], object], gift: HostileRun
 ) -> None:
     enter(gift)
     assert gift.marked == []
@@ -211,16 +279,17 @@ def test_the_search_goes_on_at_the_level_the_user_asks_for(gift: HostileRun) -> 
 # SECURITY.md and the source.
 
 
-def test_the_table_has_each_row_that_was_tried() -> None:
+def test_the_table_has_each_row_that_executes_something() -> None:
     text = (ROOT / "SECURITY.md").read_text("utf-8")
     _, _, rest = text.partition("## A run from somebody else")
-    rows = set(re.findall(r"^\| `([^`]+)`", rest.partition("\n## ")[0], re.MULTILINE))
-    tried = {row for row, *_ in COMMANDS} | {row for row, _ in ENTRIES}
+    first = re.findall(r"^\|([^|]+)\|", rest.partition("\n## ")[0], re.MULTILINE)
+    rows = {name for cell in first for name in re.findall(r"`([^`]+)`", cell)}
+    tried = {row for _, row, _ in COMMANDS if row} | {row for row, _ in ENTRIES if row}
     assert rows == tried
 
 
 LOADERS = re.compile(
-    r"(^|\.)(exec|eval|__import__|import_module|load_target|run_path|run_module|exec_module|"
+    r"(^|\.)(exec|eval|__import__|import_module|load_target|family_module|run_path|run_module|exec_module|"
     r"load_module|spec_from_file_location|loadmat)$|(pickle|np|numpy|marshal|dill|joblib)\.loads?$|"
     r"part\.load$|^known\[name\]\.load$|CDLL$"
 )
@@ -229,17 +298,16 @@ LOADERS = re.compile(
 ACCOUNTED = {
     "__init__.py": "names of this package",
     "_heap.py": "the C library",
-    "_plugins.py": "installed packages; `module:Name` that the user gives",
+    "_plugins.py": "installed packages; names in the source; `module:Name` that the user gives",
     "_source_reader.py": "two modules of this package and one of Python",
     "agents/library/pages.py": "families of ASIA and of installed packages",
     "agents/library/registry.py": "families of ASIA and of installed packages",
     "agents/registry.py": "agents that the user names; of a ledger only installed or trusted ones",
-    "assurance/redteam/attacks/limits.py": "attacks of the suite, in an outer sandbox",
-    "assurance/redteam/evidence.py": "the C library",
-    "assurance/redteam/outside/without_isolation.py": "attacks in an outer sandbox",
     "data/intake/formats.py": "packages of a fixed table; arrays without pickles; MATLAB data",
     "data/sources/official.py": "arrays without pickles; MATLAB data",
-    "data/sources.py": "sources of installed packages",
+    "data/intake/frequency.py": "arrays without pickles; MATLAB data",
+    "data/sources/__init__.py": "sources of installed packages",
+    "data/sources/simulated/open_loop.py": "plants of this package, of a fixed table",
     "export/pipeline.py": "targets of installed packages",
     "export/targets/c.py": "code that ASIA printed from a checked program",
     "export/targets/control.py": "code that ASIA printed from a checked program",
@@ -249,7 +317,6 @@ ACCOUNTED = {
     "interfaces/workspace/tools.py": "the user's candidate in the user's own workspace",
     "judge/evaluation/transport.py": "work and records between machines of one search",
     "judge/executors/__init__.py": "executors of installed packages",
-    "judge/executors/dask.py": "one package",
     "judge/sandbox/layers/landlock.py": "the C library",
     "judge/sandbox/layers/lockdown.py": "the C library",
     "judge/sandbox/layers/seccomp.py": "the C library",
@@ -257,12 +324,13 @@ ACCOUNTED = {
     "judge/sandbox/worker/keeper.py": "the C library",
     "judge/sandbox/worker/wire.py": "requests of the parent, read in the sandbox",
     "analysis/validation.py": "checks of installed packages",
+    "models/_reuse.py": "results of a worker, read in a worker",
+    "models/controllers.py": "models of a control problem, in the sandbox",
+    "models/simulator.py": "the user's simulator, in the sandbox; one of this package anywhere",
     "models/_equations/ode.py": "numbered variables, operators and functions of a table",
     "problem/metrics.py": "metrics of installed packages",
-    "problem/problem.py": "one module of this package",
-    "report/__init__.py": "names of this package",
     "search/sinks.py": "sinks that the user names",
-    "testing/candidate.py": "the author's own family",
+    "testing/family.py": "the author's own family",
 }
 
 
@@ -277,7 +345,5 @@ def test_each_place_that_executes_or_unpickles_is_accounted_for() -> None:
     for path in SRC.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.load", "numpy.load"):
-                if "redteam" in path.parts:
-                    continue
                 allowed = [k for k in node.keywords if k.arg == "allow_pickle"]
                 assert all(ast.unparse(k.value) == "False" for k in allowed), path

@@ -10,8 +10,6 @@ import pytest
 
 from asia.agents import AgentView, Proposal
 from asia.agents.llm.prompt import problem_text, search_text, task_of
-from asia.assurance.redteam import arena
-from asia.assurance.redteam.attacks import probing
 from asia.errors import Reason, UserError
 from asia.interfaces.cli.agent import result_lines
 from asia.interfaces.mcp.server import source_answer
@@ -29,6 +27,8 @@ from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import protocol_digest
 from asia.search.decision import Decision, decide_by_one_fit
 from asia.search.run import prepare, search, with_early_stopping
+from tests.redteam import arena
+from tests.redteam.attacks import probing
 
 from .toy import Scripted, arx, write_problem
 
@@ -178,10 +178,10 @@ def judged_as_without_the_ladder(
     view: SearchView,
     first: Evaluation | None = None,
     over: float | None = None,
-    check_literals: object = None,
+    confirm: object = None,
 ) -> Decision:
     """Only a would-be winner is doubted."""
-    del first, over, check_literals
+    del first, over, confirm
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
     if decide_by_one_fit(evaluation.outcome, view) != "keep":

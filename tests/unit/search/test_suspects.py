@@ -118,18 +118,18 @@ def test_killed_before_the_verdict_it_comes_to_the_same(
     assert len(again.experiments) == 4
 
 
-def test_a_record_in_the_source_starts_no_worker(
+def test_a_source_that_is_too_long_starts_no_worker(
     finished_once: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem, directory = finished_once / "toy", finished_once / "runs" / "toy-scripted-s0"
     record = load_problem(problem).train[0]
-    source = f"TABLE = {np.tile(record.y[:, 0], 8).tolist()}\n{arx(2)}"
+    source = f"TABLE = {np.tile(record.y[:, 0], 20).tolist()}\n{arx(2)}"
     started: list[object] = []
     opener = workers_module.open_worker
     monkeypatch.setattr(workers_module, "open_worker", lambda *a: started.append(a) or opener(*a))
     judge = make_evaluator(load_problem(problem), open_run(directory).view)
     outcome = judge.evaluate(source).outcome
-    assert getattr(outcome, "reason", None) is Reason.LITERAL_DATA
+    assert getattr(outcome, "reason", None) is Reason.SOURCE_SIZE
     assert started == []
 
 

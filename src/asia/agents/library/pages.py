@@ -7,9 +7,9 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
-from importlib import import_module
 from itertools import pairwise
 
+from asia._plugins import family_module, library
 from asia.agents.library.family import Family
 from asia.agents.library.recipe import MODELS, Recipe
 from asia.agents.library.registry import families
@@ -69,12 +69,12 @@ def options_of(settings: type) -> tuple[Option, ...]:
 
 def config_of(package: str, name: str) -> type:
     """The `Config` of a family."""
-    return import_module(f"{package}.{name}").Config
+    return family_module(package, name).Config
 
 
 def method_of(name: str) -> type:
     """A training method by name."""
-    return getattr(import_module("asia.models.methods"), name)
+    return getattr(library("asia.models.methods"), name)
 
 
 def about(settings: type) -> str:
@@ -151,7 +151,7 @@ def families_page(facts: Facts) -> str:
 
 def family_page(row: Family, facts: Facts | None) -> str:
     """All there is to know of one family; with an example where there is a problem it suits."""
-    module = import_module(f"{row.package}.{row.name}")
+    module = family_module(row.package, row.name)
     parts = [f"# {row.name}: {row.label}", "", *_wrapped(f"{row.use}.".capitalize()), ""]
     parts += [*(inspect.getdoc(module) or "").splitlines(), ""]
     parts += [f"## {row.name}.Config", "", *_wrapped(about(config_of(row.package, row.name))), ""]

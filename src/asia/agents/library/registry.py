@@ -4,12 +4,11 @@ Every function raises UserError as `all_cards` does.
 """
 
 import ast
-import pkgutil
 from functools import cache
-from importlib import import_module
+from pathlib import Path
 from typing import cast
 
-from asia._plugins import Part, parts_of
+from asia._plugins import Part, family_module, parts_of
 from asia.agents.library import cards
 from asia.agents.library.family import Family
 from asia.agents.library.move import Card
@@ -25,8 +24,8 @@ GROUP = "asia.families"
 def all_cards() -> tuple[Card, ...]:
     """The built-in cards, then those of other packages. Raises UserError for a part that is no
     card, or brings a family with a name that is taken."""
-    names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
-    found = [cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names]
+    names = sorted(path.stem for path in Path(cards.__path__[0]).glob("[a-z]*.py"))
+    found = [cast("Card", family_module(cards.__name__, n).CARD) for n in names]
     owners = {row.name: "ASIA" for card in found for row in card.families}
     for part in parts_of(GROUP):
         card = _card(part.load(), part)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 from typing import TYPE_CHECKING
 
+from asia._plugins import is_installed
 from asia.agents.llm.menu import (
     CHOICE,
     Offer,
@@ -57,7 +57,7 @@ class LlmAgent:
     def __init__(
         self, settings: LlmSettings, *, network: bool = True, server: LocalServer | None = None
     ) -> None:
-        if importlib.util.find_spec("openai") is None:
+        if not is_installed("openai"):
             raise UserError(
                 "the agent llm needs the package openai: pip install '.[llm]' in a clone of ASIA"
             )

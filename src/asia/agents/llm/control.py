@@ -60,7 +60,7 @@ candidate.py defines design(models, context), which returns a controller with st
 - Python with numpy, scipy, jax and asia.models, one CPU thread, no network, no files. design has
   {seconds:g} s; stop by iteration counts, not by the clock. Take random numbers from context.seed.
 - The controller may have parameters(), a dict of at most 64 names and floats.
-- The source must carry no data: literals with more bits than a tenth of the gain are refused."""
+- The source must carry no data: let design compute numbers from the models."""
 
 
 def control_role(facts: Facts) -> str:

@@ -1,9 +1,6 @@
 """Server of a language model on this machine, which ASIA starts and stops itself."""
 
 import hashlib
-import importlib
-import importlib.metadata
-import importlib.util
 import json
 import os
 import subprocess
@@ -13,6 +10,7 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
+from asia._plugins import is_installed, library, version_of
 from asia.errors import UserError
 
 _SAMPLER = (
@@ -42,7 +40,7 @@ class LocalServer:
     """
 
     def __init__(self, weights: Path, context: int = 0) -> None:
-        if importlib.util.find_spec("xllamacpp") is None:
+        if not is_installed("xllamacpp"):
             raise UserError(
                 "--local needs the package xllamacpp: pip install '.[local]' in a clone of ASIA"
             )
@@ -76,7 +74,7 @@ class LocalServer:
             "sha256": digest,
             "template_sha256": hashlib.sha256(props["chat_template"].encode()).hexdigest(),
             "sampler": {name: sampler[name] for name in _SAMPLER if name in sampler},
-            "server": f"xllamacpp {importlib.metadata.version('xllamacpp')}",
+            "server": f"xllamacpp {version_of('xllamacpp')}",
             "context": props["default_generation_settings"]["n_ctx"],
             "threads": threads,
         }
@@ -96,7 +94,7 @@ class LocalServer:
 
 def _serve(weights: str, context: int, threads: int) -> None:
     """Print the address and serve until the standard input ends."""
-    xllamacpp: Any = importlib.import_module("xllamacpp")
+    xllamacpp: Any = library("xllamacpp")
 
     params: Any = xllamacpp.CommonParams()
     params.model.path = weights

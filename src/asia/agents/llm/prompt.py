@@ -126,9 +126,9 @@ context), and fit that calls both.
 
 MODEL_RULES = """The model must be causal in u: later inputs are not there when it answers. It must
 answer a window alike whatever came before, from any start of a record about as well, and without a
-jump for a tiny change of what it is given. The source must carry no data: literals with more bits
-than a tenth of the log-likelihood gained are judged by held-back records and a refit. What breaks
-this is refused or never kept."""
+jump for a tiny change of what it is given. What breaks this is refused or never kept. A new best is
+kept only if records that nobody in the search has seen confirm at least half of its gain; otherwise
+it is `unconfirmed`. Data in the source, and tuning to V alone, do not pass this."""
 
 _INNER = """To stop early, hold out a part of the training trajectories, choose the number of
   iterations with it, and fit again on all of them."""

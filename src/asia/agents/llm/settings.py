@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from urllib.parse import urlsplit
 
 from pydantic import TypeAdapter
 
+from asia._plugins import is_installed
 from asia.errors import UserError
 
 Proposals = Literal["free", "menu", "both"]
@@ -180,7 +180,7 @@ class LlmSettings:
 def first_model(base_url: str, api_key_env: str) -> str:
     """The name of the first model that an OpenAI-compatible server lists. Raises UserError without
     the extra `llm`, for a server that cannot be reached, and for one that lists none."""
-    if importlib.util.find_spec("openai") is None:
+    if not is_installed("openai"):
         raise UserError(
             "asking a server needs the package openai: pip install '.[llm]' in a clone of ASIA"
         )

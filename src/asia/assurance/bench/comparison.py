@@ -9,7 +9,6 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -17,6 +16,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy.stats import wilcoxon
 
+from asia._files import PACKAGE
 from asia._text import printable_line
 from asia.agents.registry import make_agent
 from asia.agents.relay import legs_of
@@ -26,6 +26,7 @@ from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.chain import write_whole
 from asia.ledger.events import Event, TestedModel, Unsealed
+from asia.ledger.looks import later_words
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
@@ -103,7 +104,7 @@ class Paper:
 
 def paper(problem_name: str) -> Paper | None:
     """The paper's figures on a built-in problem; None when it has none."""
-    text = (resources.files("asia.assurance.bench") / "paper.toml").read_text("utf-8")
+    text = ((PACKAGE / "assurance" / "bench") / "paper.toml").read_text("utf-8")
     return TypeAdapter(dict[str, Paper]).validate_python(tomllib.loads(text)).get(problem_name)
 
 
@@ -271,7 +272,7 @@ class FixedAgent:
 
 def reference_agent(names: tuple[str, ...]) -> FixedAgent:
     """The reference candidates of these names, see `TITLES`."""
-    folder = resources.files("asia.assurance.bench") / "candidates"
+    folder = (PACKAGE / "assurance" / "bench") / "candidates"
     return FixedAgent(tuple((TITLES[n], (folder / f"{n}.py").read_text("utf-8")) for n in names))
 
 
@@ -768,8 +769,8 @@ def _notes(declared: str | None, test: TestResult | None) -> list[str]:
             "search."
         ]
     notes = [f"Run {test.run}, experiment {test.record.experiment}, declared before its search."]
-    if test.opened_before:
-        notes.append(f"The same test had been opened before, by {', '.join(test.opened_before)}.")
+    if words := later_words(test.opened_before):
+        notes.append(f"{words[0].upper()}{words[1:]}.")
     return notes
 
 

@@ -3,13 +3,13 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, LiteralString
 from zipfile import BadZipFile
 
 import numpy as np
 
+from asia._plugins import library
 from asia.data.intake.sheet import (
     Cells,
     Column,
@@ -28,10 +28,10 @@ from asia.errors import UserError
 # Libraries that come with an extra.
 
 
-def need(module: str, path: Path, extra: str) -> Any:
+def need(module: LiteralString, path: Path, extra: str) -> Any:
     """A library that comes with an extra. Raises UserError that says how to get it."""
     try:
-        return import_module(module)
+        return library(module)
     except ImportError:
         raise UserError(
             f"{path} needs the package {module.partition('.')[0]}: "

@@ -10,11 +10,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
+from asia._files import PACKAGE
 from asia.analysis.monitor import INCREASE, Observer
 from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
@@ -28,9 +28,7 @@ from asia.lowering.program import Node, Program, Shape
 
 def template(name: str, **values: object) -> str:
     """A file of `templates` with a value for each `@NAME@`."""
-    text = (
-        resources.files("asia").joinpath("export", "targets", "templates", name).read_text("utf-8")
-    )
+    text = (PACKAGE / "export" / "targets" / "templates" / name).read_text("utf-8")
     for key, value in values.items():
         text = text.replace(f"@{key}@", str(value))
     return text

@@ -1,6 +1,5 @@
 """Functional mock-up units for co-simulation, FMI 2.0 and 3.0."""
 
-import importlib.util
 import io
 import platform
 import re
@@ -16,6 +15,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from asia._plugins import is_installed
 from asia.data.trajectory import Array
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
@@ -92,7 +92,7 @@ made on."""
 
     def missing(self) -> str | None:
         """Return a sentence if fmpy, which checks the units, or a C compiler is missing."""
-        if importlib.util.find_spec("fmpy") is None:
+        if not is_installed("fmpy"):
             return "pip install '.[export]' in a clone of ASIA"
         return None if c_compiler() else "install a C compiler, such as gcc"
 

@@ -278,7 +278,6 @@ def spread(words: list[str]) -> list[str]:
         "validate": ("--columns",),
         "bench paper": _bench.LISTS,
         "bench agents": _bench.COMPARE_LISTS,
-        "doctor": doctor.LISTS,
     }
     lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2]))
     if lists is None:

@@ -271,7 +271,7 @@ def result_lines(
         lines = [f"{head}no score: {result.advice}"]
         if result.detail:
             # These reasons are found by ASIA; the others come with words of the candidate.
-            found = (Reason.SUSPECT, Reason.RESTART, Reason.LITERAL_DATA, Reason.NOT_REPRODUCIBLE)
+            found = (Reason.SUSPECT, Reason.RESTART, Reason.SOURCE_SIZE, Reason.NOT_REPRODUCIBLE)
             words = "found" if result.reason in found else "the candidate's own words"
             lines.append(f"    {words}: {result.detail}")
     lines += [f"    {line}" for line in evidence]

@@ -422,7 +422,7 @@ GuardRecords = Annotated[
     typer.Option(
         "--guard/--no-guard",
         help="Hold back 15 % of the training records, which no candidate and no agent sees, to "
-        "judge candidates that carry data in. On by default.",
+        "confirm each new best. On by default for agents that write candidates.",
         show_default=False,
     ),
 ]

@@ -14,7 +14,7 @@ from asia._text import folded, printable
 from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
-from asia.ledger.run import alarms, model_to_use, usability
+from asia.ledger.run import alarms, model_to_use, unguarded, usability
 from asia.ledger.text import error_value, seed_mean_words, stack_words, validation_score_words
 from asia.ledger.view import Experiment, SearchView
 from asia.search.steering import FoldLosses
@@ -137,21 +137,27 @@ def running_words(view: SearchView, losses: Mapping[int, FoldLosses] | None = No
 
 
 def print_alarms(view: SearchView) -> None:
-    """Print the alarms of a search, in red where the terminal has colours."""
+    """Print what is said before the result: alarms, in red where the terminal has colours, and
+    whether V stands alone."""
     console = Terminal(soft_wrap=True)
     for words in alarms(view):
         console.print(f"ALARM   {words}", style="bold red")
+    if words := unguarded(view):
+        console.print(f"NOTE    {words}", style="bold yellow")
 
 
 def guard_words(view: SearchView) -> str:
-    """Return the last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, ...`."""
+    """Return the last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, ...`, and how
+    often the agent learned an answer of it."""
     look, best = view.looks[-1], view.best
     scores = ", ".join(f"#{s.experiment:02d} {value_words(s.outcome)}" for s in look.scores)
     pick = "none" if look.pick is None else f"#{look.pick:02d}"
     winner = ""
     if best is not None and best.number != look.pick:
         winner = f", the winner is #{best.number:02d}"
-    return f"{scores}; it picks {pick}{winner} (look {look.look})"
+    asked = f"; asked for {view.guard_bits} new bests, " if view.guard_bits else ""
+    bits = f"at most {view.guard_bits} bits for the agent" if view.guard_bits else ""
+    return f"{scores}; it picks {pick}{winner} (look {look.look}{asked}{bits})"
 
 
 def again_words(view: SearchView) -> str:

@@ -2,8 +2,10 @@
 
 import contextlib
 import json as jsonlib
+import re
 import sqlite3
 import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -23,9 +25,29 @@ CREATE TABLE settings (run TEXT, number INTEGER, name TEXT, value);
 CREATE TABLE notes (run TEXT, experiment INTEGER, time TEXT, author TEXT, text TEXT);
 """
 _COLUMNS = " ".join(_TABLES.replace("CREATE TABLE ", "").split())
-_READS = (
-    sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE,
-)  # fmt: skip
+# Functions of numbers, text, dates and JSON, which read their arguments alone.
+_FUNCTIONS = frozenset(
+    re.findall(
+        r"\S+",
+        """
+    abs acos acosh asin asinh atan atan2 atanh avg ceil ceiling char coalesce concat concat_ws cos
+    cosh count cume_dist current_date current_time current_timestamp date datetime degrees
+    dense_rank exp first_value floor format glob group_concat hex ifnull iif instr julianday lag
+    last_value lead length like likelihood likely ln log log10 log2 lower ltrim max median min mod
+    nth_value ntile nullif octet_length percent_rank percentile percentile_cont percentile_disc pi
+    pow power printf quote radians random rank replace round row_number rtrim sign sin sinh soundex
+    source sqrt strftime string_agg substr substring sum tan tanh time timediff total trim trunc
+    typeof unhex unicode unistr unixepoch unlikely upper
+    -> ->> json json_array json_array_length json_error_position json_extract json_group_array
+    json_group_object json_insert json_object json_patch json_pretty json_quote json_remove
+    json_replace json_set json_type json_valid
+    """,
+    )
+)
+_READABLE = frozenset({"runs", "experiments", "settings", "notes", "json_each", "json_tree"})
+_ACTIONS = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_RECURSIVE)
+_LONGEST_VALUE = 16 << 20  # bytes
+_SECONDS = 60.0
 _WIDEST = 60
 
 
@@ -40,21 +62,20 @@ def query(
     experiments (run, number, parent, phase, agent, family, title, hypothesis, expected, status, V,
     reason, seconds, tags), settings (run, number, name, value), notes (run, experiment, time,
     author, text). The function source(run, number) returns candidate.py. The tables are copies: a
-    query changes nothing.
+    query changes nothing. Functions are SQLite's own of numbers, text, dates and JSON.
     """
     with contextlib.closing(sqlite3.connect(":memory:")) as database:
         _fill(database, runs)
-        database.set_authorizer(
-            lambda action, *_: sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY
-        )
+        refused = _confine(database)
         try:
             cursor = database.execute(sql)
             rows = cursor.fetchall()
             if cursor.description is None:
                 raise sqlite3.Warning("no statement")
-        except (sqlite3.Error, sqlite3.Warning) as error:
+        except (sqlite3.Error, sqlite3.Warning, MemoryError) as error:
+            reason = refused[0] if refused else str(error) or "it needs too much memory"
             raise UserError(
-                f"the query failed: {error}; expected one SELECT over {_COLUMNS}"
+                f"the query failed: {reason}; expected one SELECT over {_COLUMNS}"
             ) from None
         names = [column[0] for column in cursor.description]
     if json:
@@ -65,6 +86,44 @@ def query(
     widths = [max(map(len, column)) for column in zip(names, *texts, strict=True)]
     for line in (names, *texts):
         say("  ".join(f"{text:<{w}}" for text, w in zip(line, widths, strict=True)).rstrip())
+
+
+def _confine(database: sqlite3.Connection) -> list[str]:
+    """Allow reading of the tables, and functions of a list, for a limited time; return the list
+    that takes the first refusal, a clause."""
+    refused: list[str] = []
+    # The first use of a virtual table creates it.
+    with contextlib.suppress(sqlite3.Error):
+        database.execute("SELECT 1 FROM json_each('[]'), json_tree('[]')")
+
+    def allow(
+        action: int, first: str | None, second: str | None, place: str | None, _: str | None
+    ) -> int:
+        if action == sqlite3.SQLITE_FUNCTION:
+            if (second or "").lower() in _FUNCTIONS:
+                return sqlite3.SQLITE_OK
+            refused.append(f"the function {second} is not among those that a query may call")
+        elif action == sqlite3.SQLITE_READ:
+            # Without a column rows are counted; a virtual table asks for its own number.
+            known = (first or "").lower() in _READABLE or (not second and place is None)
+            if known or (first, second) == ("sqlite_master", "ROWID"):
+                return sqlite3.SQLITE_OK
+            refused.append(f"the table {first} is not among those that a query may read")
+        elif action in _ACTIONS:
+            return sqlite3.SQLITE_OK
+        return sqlite3.SQLITE_DENY
+
+    end = time.monotonic() + _SECONDS
+
+    def late() -> bool:
+        if time.monotonic() > end:
+            refused.append(f"it took more than {_SECONDS:g} s")
+        return bool(refused)
+
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE)
+    database.set_authorizer(allow)
+    database.set_progress_handler(late, 100_000)
+    return refused
 
 
 def _fill(database: sqlite3.Connection, runs: Path) -> None:

@@ -10,6 +10,7 @@ from asia._text import say
 from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
 from asia.interfaces.cli.output import use_lines, verdict_lines
 from asia.ledger.artifacts import Store
+from asia.ledger.looks import seal_words
 from asia.ledger.run import open_run
 
 
@@ -59,6 +60,8 @@ def report(
     for line in failed:
         say(f"note    {line}", file=sys.stderr)
     view = open_run(directory).view
+    if words := seal_words(directory, view):
+        say(words, file=sys.stderr)
     for line in (*verdict_lines(view), *use_lines(view)):
         say(line, file=sys.stderr)
     if not Store(directory / "artifacts").kept:

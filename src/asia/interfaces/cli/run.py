@@ -24,6 +24,7 @@ from asia.interfaces.cli.options import (
     PREFIX,
     CommandOptions,
     EngineOptions,
+    GuardRecords,
     Json,
     LlmOptions,
     ModelOptions,
@@ -65,7 +66,7 @@ from asia.ledger.events import (
     Refitted,
 )
 from asia.ledger.evidence import identified, incumbent_threshold
-from asia.ledger.run import alarms, control, open_run
+from asia.ledger.run import alarms, control, open_run, unguarded
 from asia.ledger.text import (
     control_text,
     error_value,
@@ -112,6 +113,7 @@ def run(
             help="Send the search to mlflow, trackio, an installed sink or module:Name; repeatable."
         ),
     ] = None,
+    guard: GuardRecords = None,
     runs: Runs = DEFAULT_RUNS,
     profile: Profile = False,
     json: Json = False,
@@ -125,12 +127,14 @@ def run(
     """
 
     from asia.problem.load import load_problem
+    from asia.search.run import guard_share
 
     options.check()
     driver = make_driver(agent, space, models, llm, command)
     timer = ActivityTimer()
     with timer.activity(Activity.PREPARE):
-        loaded = options.applied(load_problem(problem))
+        agents = [leg.agent for leg in driver.legs] or [driver.name]
+        loaded = options.applied(load_problem(problem, guard_share(agents, guard)))
     search_and_print(
         loaded, driver, options, engine, runs, sink=sink, json=json, profile=profile, timer=timer
     )
@@ -324,6 +328,7 @@ _STYLES = {
     "keep": "bold green",
     "discard": "dim",
     "inconclusive": "cyan",
+    "unconfirmed": "yellow",
     "crash": "red",
     "timeout": "yellow",
 }
@@ -537,6 +542,8 @@ class TextDisplay:
         """Print the winner and the evidence for its quality."""
         for words in alarms(view):
             self._print(f"ALARM    {words}", style="bold red")
+        if words := unguarded(view):
+            self._print(f"NOTE     {words}", style="bold yellow")
         best = view.best
         if best is None or best.score is None:
             self._print("best     none: every candidate failed")

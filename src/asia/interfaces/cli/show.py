@@ -15,14 +15,15 @@ from asia.interfaces.cli.output import Terminal, again_words, print_alarms, use_
 from asia.interfaces.cli.validate import confirmation_lines
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.ledger.evidence import evidence_of, identified, settings_of_run
+from asia.ledger.looks import seal_words
 from asia.ledger.run import Run, open_run
 from asia.ledger.text import (
+    confirmation_text,
     describe_result,
     error_value,
     evidence_lines,
     identified_lines,
     identified_object,
-    literal_words,
     phase_text,
 )
 from asia.ledger.view import Experiment
@@ -77,6 +78,8 @@ def show(
         return
     console = wide_console()
     print_alarms(view)
+    if said := seal_words(run.directory, view):
+        say(said)
     if len(shown) > 1:
         for e in shown:
             say(f"#{e.number:02d} {e.proposed.title}: {describe_result(e, view)}")
@@ -152,8 +155,8 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if r is None:
         return
     row("decision", r.status)
-    if r.literals is not None:
-        row("literals", literal_words(r.literals))
+    if r.confirmation is not None:
+        row("confirmation", confirmation_text(r.confirmation))
     refitted = view.refitted
     if refitted is not None and refitted.experiment != experiment.number:
         refitted = None

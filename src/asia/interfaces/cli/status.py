@@ -28,6 +28,7 @@ from asia.interfaces.cli.output import (
 from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import cancelled_folds, incumbent_threshold, pruned_folds
+from asia.ledger.looks import seal_words
 from asia.ledger.run import alarms, control, error_of, metric_of, model_to_use, open_run, usability
 from asia.ledger.text import (
     control_text,
@@ -99,6 +100,7 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "error": error_of(directory) if found.state == "interrupted" else None,
         "failed_checks": list(view.failed_checks),
         "alarms": list(alarms(view)),
+        "seal": seal_words(directory, view),
         "threshold": incumbent_threshold(view),
         "verdict": None if judged is None else asdict(judged),
         "use": named.model if named else None,
@@ -128,6 +130,8 @@ def state_words(found: Brief) -> str:
 def _print_status(directory: Path, found: Brief) -> None:
     view, start = found.view, found.view.started
     print_alarms(view)
+    if words := seal_words(directory, view):
+        say(f"seal    {words}")
     say(
         f"run {start.run}  problem {start.problem}  agent {start.agent}  "
         f"seed {start.seed}  isolation {start.isolation_words}"

@@ -15,6 +15,7 @@ from asia.interfaces.cli.options import Keys, RunName, RunOptions, YesProcess
 from asia.interfaces.cli.output import print_alarms, use_lines, validation_words
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
+from asia.ledger.looks import later_words
 from asia.ledger.run import Run, alarms, model_to_use, open_run, tested_model
 from asia.ledger.view import SearchView
 from asia.problem.metrics import metric_label
@@ -55,9 +56,8 @@ def unseal(
     if consent or not needs_consent(opened.view, level):
         end_idle(directory, lambda line: say(line, file=sys.stderr))
     result = open_seal(directory, process_consent=consent, keys=keys, isolation=level)
-    if result.opened_before:
-        names = ", ".join(result.opened_before)
-        say(f"note: this test was opened before, by {names}", file=sys.stderr)
+    if words := later_words(result.opened_before):
+        say(words, file=sys.stderr)
     if not result.first_time:
         say("the test of this run is open already: this is its only result", file=sys.stderr)
     view = open_run(directory).view
@@ -130,6 +130,7 @@ def _result_object(record: Unsealed, view: SearchView, board: Board) -> dict[str
         "test": scores(record.ensemble),
         "experiment": record.experiment,
         "skip": record.skip,
+        "opened_before": list(view.unsealing.opened_before) if view.unsealing else [],
     }
     for name, model in (("refit", record.refit), ("stack", record.stack)):
         if model is not None:

@@ -6,9 +6,9 @@ Importing this package is cheap: the MCP SDK, an extra, is loaded when a server 
 """
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
+from asia._plugins import is_installed
 from asia.errors import UserError
 from asia.interfaces.workspace.process import SearchRequest, prepare_request, start_search
 from asia.interfaces.workspace.server import RunDesk
@@ -38,7 +38,7 @@ def open_search(request: SearchRequest, runs: Path, name: str | None) -> Opened:
 
 def require_sdk() -> None:
     """Raises UserError where the extra is not installed."""
-    if find_spec("mcp") is None or find_spec("mcp_types") is None:
+    if not (is_installed("mcp") and is_installed("mcp_types")):
         raise UserError(
             "asia agent mcp needs the extra mcp: pip install '.[mcp]' in a clone of ASIA"
         )

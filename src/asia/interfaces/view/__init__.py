@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from asia._plugins import is_installed
 from asia.errors import UserError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ PORT = 8731
 
 def require_server() -> None:
     """Raises UserError where the extra is not installed."""
-    if find_spec("starlette") is None or find_spec("uvicorn") is None:
+    if not (is_installed("starlette") and is_installed("uvicorn")):
         raise UserError(
             "asia view needs Starlette and uvicorn, which are an extra: "
             "pip install '.[view]' in a clone of ASIA"

@@ -6,7 +6,6 @@ import contextlib
 import secrets
 from dataclasses import dataclass, replace
 from http.cookies import CookieError, SimpleCookie
-from importlib import resources
 from pathlib import Path
 from typing import Final
 from urllib.parse import parse_qs, quote, urlencode
@@ -26,7 +25,7 @@ from starlette.responses import (
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from asia._files import config_folder, name_of_place, read_private, write_private
+from asia._files import PACKAGE, config_folder, name_of_place, read_private, write_private
 from asia.errors import UserError
 from asia.interfaces.view.comparison import (
     Compared,
@@ -209,7 +208,7 @@ class _Pages:
             return Response(page_style(), media_type=_KINDS[".css"])
         if name not in _STATIC:
             return Response(status_code=404)
-        file = resources.files("asia").joinpath("interfaces", "view", "static", name)
+        file = PACKAGE / "interfaces" / "view" / "static" / name
         return Response(file.read_bytes(), media_type=_KINDS[name[name.rindex(".") :]])
 
     def refuse(self, request: Request, error: Exception) -> Response:

@@ -24,7 +24,7 @@ from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.run import alarms
+from asia.ledger.run import alarms, unguarded
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
@@ -618,7 +618,8 @@ def now_panel(snapshot: Snapshot) -> Html:
     if snapshot.trouble:
         missing = "No simulations, because the records are missing: "
         trouble = tag("p", missing, said(snapshot.trouble, 600), class_="trouble")
-    said_first = [tag("p", said(words, 600), class_="alarm") for words in alarms(view)]
+    first = [*alarms(view), *filter(None, [unguarded(view)])]
+    said_first = [tag("p", said(words, 600), class_="alarm") for words in first]
     return join((*said_first, tag("dl", *shown, class_="tiles"), trouble))
 
 

@@ -26,11 +26,13 @@ from asia.ledger.chain import in_use, write_whole
 from asia.ledger.events import Event, Proposed
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
+from asia.problem.held_back import GUARD_SHARE
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.search.run import (
     Prepared,
     check_same_search,
+    guard_share,
     prepare,
     run_name,
     search,
@@ -352,10 +354,6 @@ class NewRequestError(Exception):
     """More was requested while the search waited."""
 
 
-GUARD_SHARE = 0.15
-"""Share of the training records that workspaces and servers hold back as guard records."""
-
-
 def with_guard(
     request: SearchRequest, wanted: bool | None, runs: Path, name: str | None
 ) -> SearchRequest:
@@ -370,7 +368,7 @@ def with_guard(
         before = SearchRequest.find(directory)
         if before is not None and has_begun(directory):
             return replace(request, guard=before.guard)
-    return replace(request, guard=None if wanted is False else GUARD_SHARE)
+    return replace(request, guard=guard_share((request.agent,), wanted))
 
 
 def guard_words(problem: Problem, request: SearchRequest) -> str:

@@ -191,7 +191,8 @@ def _repeats(problem: Problem) -> str:
 seeds. A fold that fits far worse than the others is fitted again too. V is that of the first fit.
 A gain within the standard deviation over seeds, which the answer names, is chance. **keep**: over
 its seeds the method is better than the last one kept, beyond chance. **best**: the lowest V of a
-first fit, and `best.py`; its status can be `inconclusive`, as its lower V may be chance."""
+first fit, and `best.py`; `inconclusive` says that its lower V may be chance. **unconfirmed**: held
+back records do not show half of its gain; it is neither kept nor best."""
 
 
 def _contract(problem: Problem) -> str:

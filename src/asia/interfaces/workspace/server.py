@@ -40,6 +40,7 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Stopped
 from asia.ledger.evidence import ComparedScore, evidence_of, settings_of_run
+from asia.ledger.looks import copy_words, look_by_copy
 from asia.ledger.run import Run, open_run
 from asia.ledger.text import error_line, evidence_lines, last_lines, method_note
 from asia.ledger.view import Experiment, published
@@ -495,6 +496,8 @@ class RunDesk:
         view = run.view
         if view.unsealing is not None:
             return "the sealed test of this run was opened: its search cannot continue"
+        if (copy := look_by_copy(self._directory, view)) is not None:
+            return f"{copy_words(view.started.run, copy)}: the search cannot continue"
         if view.stopped is None or view.stopped.reason != "user":
             return None
         stop = max(line.seq for line in run.lines if isinstance(line.event, Stopped))

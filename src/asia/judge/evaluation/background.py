@@ -53,6 +53,8 @@ class JobSettings:
     cancel: CancelFlag = field(default_factory=CancelFlag)
     on_begin: Callable[[], None] = lambda: None
     """Called as each of them begins."""
+    standby: bool = True
+    """Whether they may use workers that started before them, beside other fits."""
 
 
 class BackgroundJob(Generic[T]):

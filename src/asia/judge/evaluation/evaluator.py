@@ -23,7 +23,6 @@ from asia.judge.evaluation.relations import (
     Suspicion,
     SuspicionKind,
     objection_to,
-    sequential_objection,
     strangers,
     suspicions,
 )
@@ -332,9 +331,14 @@ class Evaluator:
         """Relations that are not checked."""
         return self._options.without
 
-    def fit_fold(self, source: str, place: int) -> FoldResult | Failure:
-        """Fit and score a source on one fold, by its place from 0, as in a search."""
-        job = partial(self._fold_or_failure, source, self.data.folds[place])
+    def fit_fold(self, source: str, place: int, attempt: int = 0) -> FoldResult | Failure:
+        """Fit and score a source on one fold, by its place from 0, as in a search.
+
+        Args:
+            attempt: `FoldResult.attempt` of the fit to repeat
+        """
+        fold, start = self.data.folds[place], ATTEMPT * attempt
+        job = partial(self._fold_or_failure, executed_source(source), fold, start)
         try:
             with self.workers.stopwatch.activity(Activity.CHECKS, swallows=True):
                 return self.workers.run([job])[0].result
@@ -418,14 +422,9 @@ class Evaluator:
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
-        same as the worker that fitted it, and answers like a model (see `suspicions`), and unless V
-        stays where it is far below the training error."""
-        found = self.objection_to_answers(source, folds)
-        return self.objection_to_consistency(source, folds) if found is None else found
-
-    def objection_to_answers(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """The part of `objection` for which nothing is fitted. RESTART depends on held-out outputs:
-        it is the reason only if no other relation fails in any fold."""
+        same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART
+        depends on held-out outputs: it is the reason only if no other relation fails in any fold.
+        """
         without = self.models.left_out(source)
 
         def objection(fold: Fold, result: FoldResult) -> Failure | None:
@@ -448,24 +447,6 @@ class Evaluator:
             return found
         failures = [failure for failure in found if failure is not None]
         return min(failures, key=lambda f: f.reason is Reason.RESTART, default=None)
-
-    def objection_to_consistency(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """The part of `objection` with fits one after the other: no worker of the same candidate
-        may run beside it."""
-        if SuspicionKind.CONSISTENCY in self._options.without:
-            return None
-
-        def fit_sequentially(place: int) -> FoldResult | Failure:
-            seed = ATTEMPT * folds[place].attempt
-            job = partial(self._fold_or_failure, source, self.data.folds[place], seed)
-            return self.workers.run([job])[0].result
-
-        random = np.random.default_rng(self.models.check_seed(source, "consistency"))
-        try:
-            with self.workers.stopwatch.activity(Activity.CHECKS, swallows=True):
-                return sequential_objection(folds, fit_sequentially, random)
-        except CandidateError as error:
-            return Failure(error.reason, error.detail)
 
     def refit_objection(self, source: str, model: bytes, y_hat: Sequence[Array]) -> Failure | None:
         """As `objection`, for a model fitted on all records and its answers to the training blocks:

@@ -1,7 +1,6 @@
 """Compare worker machines with this one: a model must come back bitwise the same from each."""
 
 import hashlib
-import importlib.metadata
 import json
 import platform
 import socket
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from asia._plugins import version_of
 from asia.candidate import installed_libraries
 from asia.errors import SandboxError, UserError
 from asia.judge.executors import RemoteExecutor, local_cores
@@ -22,18 +22,11 @@ def installation() -> Mapping[str, str]:
     """Python, the packages that candidates may import, ASIA's own sources and the instructions of
     the processor, on which rounding depends."""
     names = sorted({*installed_libraries(), "cloudpickle", "jaxlib"})
-
-    def version(name: str) -> str:
-        try:
-            return importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            return "missing"
-
     return {
         "python": platform.python_version(),
         "processor": f"{platform.machine()} {_instructions()}",
         "asia": _sources(),
-        **{name: version(name) for name in names},
+        **{name: version_of(name) for name in names},
     }
 
 

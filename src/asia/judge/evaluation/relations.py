@@ -1,6 +1,6 @@
 """Metamorphic checks: relations between the answers of any model of a dynamical system."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -19,7 +19,6 @@ from asia.judge.evaluation.requests import (
     secret_of,
     simulate_each,
 )
-from asia.judge.evaluation.results import SUSPICIOUS_RATIO, FoldResult, consistency
 from asia.judge.sandbox.worker.prefixes import SHORT, chunk_ends
 from asia.judge.scoring.outcome import Failure
 from asia.problem.folds import Block
@@ -52,9 +51,6 @@ class SuspicionKind(StrEnum):
     PERTURBATION = "perturbation"
     TABLE = "table"
     RESTART = "restart"
-    CONSISTENCY = "consistency"
-    LITERALS = "literals"
-    """The gain of a new best does not come from data in its source."""
 
 
 @dataclass(frozen=True)
@@ -260,7 +256,6 @@ def _rms(values: Array) -> float:
 
 ROUNDING = 1e-6
 # V of sequential fits over V, above which the folds exchanged data.
-_UNLIKE = 1.5
 MOST_STRANGERS = 24
 # Parts of a block from which a simulation is continued.
 _FURTHER = (0.25, 1.0)
@@ -424,31 +419,3 @@ def _worst(
         if one.kind not in worst or one.figure > worst[one.kind].figure:
             worst[one.kind] = one
     return tuple(worst.values())
-
-
-def sequential_objection(
-    folds: Sequence[FoldResult],
-    fit_sequentially: Callable[[int], FoldResult | Failure],
-    random: np.random.Generator,
-) -> Failure | None:
-    """Refit the folds sequentially, in another order, where V is far below the training error, so
-    that none can tell another one anything; None where V stays.
-
-    Args:
-        fit_sequentially: of the fold at that place
-    """
-    value = float(np.mean([fold.score.value for fold in folds]))
-    errors = [fold.diagnostics.train_error for fold in folds]
-    if consistency(value, errors) >= SUSPICIOUS_RATIO:
-        return None
-    again: list[float] = []
-    for place in random.permutation(len(folds)).tolist():
-        result = fit_sequentially(place)
-        if isinstance(result, Failure):
-            words = f"{SuspicionKind.CONSISTENCY}: fitted alone, a fold fails"
-            return Failure(Reason.SUSPECT, words, place + 1)
-        again.append(result.score.value)
-    if np.mean(again) <= _UNLIKE * value:
-        return None
-    words = "V is far below the training error, but not with the folds fitted one by one"
-    return Failure(Reason.SUSPECT, f"{SuspicionKind.CONSISTENCY}: {words}")

@@ -85,6 +85,13 @@ class WorkerRunner:
             return job()
 
     @contextmanager
+    def fresh_workers(self) -> Generator[None]:
+        """Start each worker of this thread's jobs when it is needed, and not beside an earlier fit,
+        which could slow down its start."""
+        with self._with_settings(replace(self.settings, standby=False)):
+            yield
+
+    @contextmanager
     def ready_workers(self, at_once: int = 1) -> Generator[None]:
         """Start workers before they are needed, until this is closed.
 
@@ -200,7 +207,8 @@ class WorkerRunner:
         cancel = self.settings.cancel
         if cancel.cancelled:
             raise SandboxError("the result of this fit is not wanted any more")
-        libraries, ready = imported_libraries(source, fitting=fitting), self._ready
+        libraries = imported_libraries(source, fitting=fitting)
+        ready = self._ready if self.settings.standby else None
         trusted = ready is not None and library_only(source)
         with self._own:
             with self.stopwatch.activity(Activity.START):

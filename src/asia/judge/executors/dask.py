@@ -1,8 +1,6 @@
 """Folds on the machines of a Dask cluster: an engine that others keep."""
 
 import hashlib
-import importlib
-import importlib.util
 import itertools
 import os
 import sys
@@ -16,6 +14,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar
 
+from asia._plugins import is_installed, library
 from asia._text import say, suggestion
 from asia.errors import SandboxError, UserError
 
@@ -44,7 +43,7 @@ class DaskExecutor:
 
     def __init__(self, where: str) -> None:
         """where: `tcp://HOST:PORT`, or the path of a scheduler file."""
-        if importlib.util.find_spec("distributed") is None:
+        if not is_installed("distributed"):
             raise UserError(
                 "--executor dask needs the package distributed: "
                 "pip install '.[dask]' in a clone of ASIA"
@@ -249,7 +248,7 @@ def _connected(where: str) -> Any:
 
 def _distributed() -> Any:
     """The engine, which an extra brings."""
-    return importlib.import_module("distributed")
+    return library("distributed")
 
 
 def _nothing() -> None:
@@ -288,7 +287,7 @@ class SlurmExecutor(DaskExecutor):
                 four jobs of one core and 5 GB each
         """
         for name in ("distributed", "dask_jobqueue"):
-            if importlib.util.find_spec(name) is None:
+            if not is_installed(name):
                 raise UserError(
                     f"--executor dask-slurm needs the package {name.replace('_', '-')}: "
                     "pip install '.[slurm]' in a clone of ASIA"
@@ -317,8 +316,8 @@ class SlurmExecutor(DaskExecutor):
 
 
 def _cluster(settings: dict[str, Any], file: Path | None) -> Any:
-    make: Any = importlib.import_module("dask_jobqueue").SLURMCluster
-    core: Any = importlib.import_module("dask_jobqueue.core")
+    make: Any = library("dask_jobqueue").SLURMCluster
+    core: Any = library("dask_jobqueue.core")
     taken = (make.job_cls.__init__, core.Job.__init__, core.JobQueueCluster.__init__)
     known = {name for function in taken for name in signature(function).parameters}
     for name in settings.keys() - known:

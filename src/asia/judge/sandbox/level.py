@@ -2,10 +2,16 @@
 
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import ClassVar
 
-from asia.judge.sandbox.layers.environment import missing_layers
+from asia.judge.sandbox.layers.environment import (
+    interpreter,
+    last_line,
+    missing_layers,
+    package_folder,
+    run_trial,
+)
 from asia.judge.sandbox.layers.pids import PidsMechanism, cgroup_works
 from asia.judge.sandbox.types import Isolation, Layer, Limits
 from asia.judge.sandbox.worker.process import WorkerProcess
@@ -40,6 +46,15 @@ class Level(ABC):
     @abstractmethod
     def why_not(self) -> str | None:
         """None if a worker can be started here, else the reason in plain words."""
+
+    def trial(self, before: Sequence[str] = ()) -> str | None:
+        """None if a process can put the layers on itself here and they stop what they must, else
+        the reason. before: words in front of its command line. Raises OSError, TimeoutExpired."""
+        layers = ",".join(layer for layer in self.layers if layer not in self.missing())
+        script = package_folder() / "judge" / "sandbox" / "layers" / "lockdown.py"
+        python = [interpreter(), "-I", "-S", "-B", str(script), layers, str(package_folder())]
+        found = run_trial([*before, *python])
+        return None if found.returncode == 0 else last_line(found, "a trial failed silently")
 
     @abstractmethod
     def remedy(self) -> str:

@@ -121,8 +121,10 @@ class ExpectedError:
     choice."""
 
 
-def block_values(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str) -> Array:
-    """Return the jackknife pseudo-values of up to BLOCKS equal parts of a fold's held-out samples.
+def block_values(
+    y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str, blocks: int = BLOCKS
+) -> Array:
+    """Return the jackknife pseudo-values of up to `blocks` equal parts of held-out samples.
 
     Their mean is the value of the fold up to a bias of second order (delete-a-block jackknife).
 
@@ -131,7 +133,7 @@ def block_values(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metri
         scale: (ny,)
     """
     a, b = pooled(y), pooled(y_hat)
-    parts = np.array_split(np.arange(len(a)), min(BLOCKS, len(a)))
+    parts = np.array_split(np.arange(len(a)), min(blocks, len(a)))
     judge, n = find_metric(metric), len(parts)
     whole = judge.shortfall(a, b, scale)
     if n < 2:

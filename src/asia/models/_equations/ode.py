@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -139,12 +138,12 @@ class Equations:
         self, requested: str | tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
     ) -> AnyArray:
         xp = namespace(parameters, x, u)
-        return _evaluator(self, requested, xp.__name__, np.dtype(x.dtype))(parameters, x, u)
+        return _evaluator(self, requested, xp, np.dtype(x.dtype))(parameters, x, u)
 
 
 @lru_cache(maxsize=256)
 def _evaluator(
-    system: Equations, requested: str | tuple[str, ...], library: str, dtype: np.dtype[Any]
+    system: Equations, requested: str | tuple[str, ...], xp: Any, dtype: np.dtype[Any]
 ) -> Evaluator:
     """Compile a Python function of a field's expressions, or of names.
 
@@ -179,8 +178,8 @@ def _evaluator(
         exec(code, scope)
         return cast(Evaluator, scope["evaluate"])
 
-    many = compiled(functions(importlib.import_module(library)), dtype.type, rows)
-    if library != "numpy" or dtype != np.float64:
+    many = compiled(functions(xp), dtype.type, rows)
+    if xp is not np or dtype != np.float64:
         return many
     single = compiled(_functions_of_numbers(), float, lambda values, _: values)
 

@@ -7,13 +7,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html.parser import HTMLParser
-from importlib import resources
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
 from asia._diagnostic import diagnostic
+from asia._files import PACKAGE
 from asia.errors import InternalError, UserError
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import write_whole
@@ -212,7 +212,7 @@ def _whole(subject: Subject, sections: Sequence[Section]) -> str:
 
 def page_style() -> str:
     """The style sheet of the page."""
-    return resources.files("asia").joinpath("report", "page", "page.css").read_text("utf-8")
+    return (PACKAGE / "report" / "page" / "page.css").read_text("utf-8")
 
 
 def document(title: str, parts: Sequence[Html]) -> str:

@@ -9,7 +9,7 @@ import typer
 
 from asia import _plugins
 from asia._plugins import Part
-from asia.interfaces.cli import MAIN_COMMANDS, MORE_COMMANDS, MOVED, spread
+from asia.interfaces.cli import MAIN_COMMANDS, MORE_COMMANDS, MOVED
 
 from .conftest import Asia, Searched
 
@@ -82,8 +82,7 @@ def test_options_of_repeated_fits_need_their_flag(asia: Asia, searched: Searched
         assert (done.code, done.out) == (2, "")
         assert expected in done.err
     assert "--from-scratch belongs to --replay" in asia("verify", "--from-scratch", *runs).err
-    assert "--quick belongs to --attack" in asia("doctor", "--quick").err
-    assert "--no-prove belongs to --attack" in asia("doctor", "--no-prove").err
+    assert "do not go together" in asia("doctor", "--attack", "--executor", "local").err
 
 
 def test_a_running_search_is_steered(asia: Asia, searched: Searched) -> None:
@@ -108,12 +107,6 @@ def test_a_running_search_is_steered(asia: Asia, searched: Searched) -> None:
         assert not (control / "pause").exists()
         assert "stops after its current experiment" in steer("--stop")
         assert (control / "stop").exists()
-
-
-def test_a_number_option_of_the_attacks_takes_several() -> None:
-    assert spread(["doctor", "--attack", "--only", "5", "28", "--quick"]) == [
-        "doctor", "--attack", "--only", "5", "--only", "28", "--quick",
-    ]  # fmt: skip
 
 
 def test_a_plugin_adds_commands(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> None:

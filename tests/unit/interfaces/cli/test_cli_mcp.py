@@ -12,7 +12,7 @@ from .conftest import Asia
 def test_a_missing_extra_is_named(
     asia: Asia, problem: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("asia.interfaces.mcp.find_spec", lambda name: None)
+    monkeypatch.setattr("asia.interfaces.mcp.is_installed", lambda name: False)
     done = asia("agent", "mcp", problem)
     assert done.code == 2
     assert "pip install '.[mcp]'" in done.err

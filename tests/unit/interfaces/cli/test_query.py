@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
+import sqlite3
 from pathlib import Path
 
 import pytest
 
+from asia.interfaces.cli import query
 from asia.ledger.run import open_run
 
 from .conftest import Done, Searched, command_line
@@ -81,3 +84,64 @@ def test_only_reading_is_allowed(sql: str, tmp_path: Path) -> None:
     assert done.code == 2
     assert "expected one SELECT over runs (run TEXT" in done.err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("sql", "named"),
+    [
+        ("select fts3_tokenizer('simple')", "function fts3_tokenizer"),
+        ("select hex(FTS3_Tokenizer('porter')) from runs", "function fts3_tokenizer"),
+        ("select load_extension('made up')", "function load_extension"),
+        ("select sqlite_source_id()", "function sqlite_source_id"),
+        ("select length(randomblob(1000000000))", "function randomblob"),
+        ("select length(zeroblob(1000000000))", "function zeroblob"),
+        ("select matchinfo(run) from runs", "function matchinfo"),
+        ("select name from pragma_function_list", "not authorized"),
+        ("select file from pragma_database_list", "not authorized"),
+        ("select * from dbstat", "dbstat"),
+        ("select sql from sqlite_stmt", "sqlite_stmt"),
+        ("select sql from sqlite_master", "table sqlite_master"),
+        ("select * from sqlite_dbpage", "sqlite_dbpage"),
+        ("create virtual table t using fts3(x)", "not authorized"),
+        ("select length(replace(printf('%9000000d', 1), ' ', 'many of them'))", "too big"),
+    ],
+)
+def test_functions_and_tables_are_those_of_a_list(sql: str, named: str, tmp_path: Path) -> None:
+    done = command_line("query", sql, "--runs", tmp_path)
+    assert done.code == 2
+    assert named in done.err
+    assert done.out == ""
+
+
+def test_each_function_that_sqlite_has_is_allowed_by_its_name_or_refused(tmp_path: Path) -> None:
+    """The kinds of functions that read their arguments alone, and no other one of this SQLite."""
+    with contextlib.closing(sqlite3.connect(":memory:")) as database:
+        known = {name for (name,) in database.execute("select name from pragma_function_list")}
+    outside = known - query._FUNCTIONS
+    assert {"fts3_tokenizer", "load_extension"} <= outside | {"load_extension"}
+    for name in outside:
+        words = f"select {name}(run) from runs"
+        assert command_line("query", words, "--runs", tmp_path).code == 2
+
+
+def test_an_endless_recursion_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(query, "_SECONDS", 0.5)
+    endless = "with recursive c(x) as (select 1 union all select x + 1 from c) select max(x) from c"
+    done = command_line("query", endless, "--runs", tmp_path)
+    assert done.code == 2
+    assert "it took more than 0.5 s" in done.err
+
+
+@pytest.mark.parametrize(
+    ("sql", "answer"),
+    [
+        ("with c(x) as (values (1), (2)) select count(*), sum(x), max(x) from c", "2"),
+        ("select value ->> 'a' as a, json_type(value) as t from json_each('[{\"a\": 7}]')", "7"),
+        ("select rank() over (order by a), date('2026-01-02') as d from (select 'x' a)", "1"),
+        ("select upper(substr('abc', 2)) as t where 'abc' like 'a%'", "BC"),
+    ],
+)  # fmt: skip
+def test_ordinary_functions_are_allowed(sql: str, answer: str, tmp_path: Path) -> None:
+    done = command_line("query", sql, "--runs", tmp_path)
+    assert done.code == 0, done.err
+    assert done.out.splitlines()[1].split()[0] == answer

@@ -67,7 +67,7 @@ def test_a_port_that_is_taken_is_named(runs: Path) -> None:
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     require_server()
-    monkeypatch.setattr(view_room, "find_spec", lambda name: None)
+    monkeypatch.setattr(view_room, "is_installed", lambda name: False)
     with pytest.raises(UserError, match=r"pip install '\.\[view\]'"):
         require_server()
 

@@ -165,7 +165,7 @@ def test_a_curve_that_remembers_windows_is_refused() -> None:
     """A fresh worker that is asked in another order knows other ones."""
     judge, source = evaluator(), CURVE.replace("REMEMBER", "True")
     scored = evaluator(without=[SuspicionKind.STRANGERS]).evaluate(source)
-    failure = judge.objection_to_answers(source, scored.folds)
+    failure = judge.objection(source, scored.folds)
     assert failure is not None
     assert failure.reason is Reason.SUSPECT
     assert "strangers" in failure.detail

@@ -73,7 +73,7 @@ def go(
 def test_missing_parts_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UserError, match="expected dask://HOST:PORT"):
         make_executor("dask")
-    monkeypatch.setattr("asia.judge.executors.dask.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("asia.judge.executors.dask.is_installed", lambda name: False)
     with pytest.raises(UserError, match=r"pip install '\.\[dask\]'"):
         make_executor("dask://localhost:1")
 

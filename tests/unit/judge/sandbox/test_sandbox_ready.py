@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 
 from asia.errors import CandidateError, Reason, SandboxError
+from asia.judge.evaluation.workers import WorkerRunner
+from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox import standby as ready_module
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.standby import StandbyWorkers
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
+from asia.problem.budget import Budget
 
 from .conftest import Case
 
@@ -275,3 +278,25 @@ def test_a_worker_near_its_memory_limit_or_ended_is_not_used_again(
             if ended:
                 worker.close()
             assert not worker.renew()
+
+
+def test_fits_in_turn_get_no_worker_that_started_beside_another_fit(level: Isolation) -> None:
+    runner = WorkerRunner(level, Budget(fit_seconds=60.0, memory_mb=4096), LocalExecutor(1))
+    source = "def fit(trajectories, context):\n    raise ValueError\n"
+    with runner.ready_workers():
+        with runner.open_for(source, fitting=True):
+            pass
+        assert runner._ready is not None
+        waiting = list(runner._ready._waiting)
+        assert waiting
+        with (
+            runner.fresh_workers(),
+            runner.open_for(source, fitting=True) as one,
+            runner.open_for(source, fitting=True) as other,
+        ):
+            assert len({id(w) for w in (one, other, *(o.worker.result() for o in waiting))}) == (
+                2 + len(waiting)
+            )
+            assert runner._ready._waiting == waiting
+        with runner.open_for(source, fitting=True) as taken:
+            assert taken in [o.worker.result() for o in waiting]

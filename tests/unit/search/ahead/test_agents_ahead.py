@@ -17,7 +17,7 @@ from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.search.literal_check import LiteralExaminer
+from asia.search.guard import Gate
 from asia.search.replay import replay_run
 from asia.search.run import prepare, search
 from tests.unit.search.toy import arx, write_problem
@@ -45,8 +45,8 @@ def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Evaluator, "evaluate", evaluate)
         patch.setattr(Evaluator, "objection", lambda self, source, folds: None)
-        # Fits with perturbed literals say nothing of a score that was made up.
-        patch.setattr(LiteralExaminer, "check", lambda self, source, evaluation, view: None)
+        # Guard records say nothing of a score that was made up.
+        patch.setattr(Gate, "confirm", lambda self, source, evaluation, view: None)
         patch.setattr(Evaluator, "refit", refit)
         yield
 

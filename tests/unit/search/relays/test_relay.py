@@ -48,9 +48,9 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         view: SearchView,
         first: Evaluation | None = None,
         over: float | None = None,
-        check_literals: object = None,
+        confirm: object = None,
     ) -> Decision:
-        del first, over, check_literals
+        del first, over, confirm
         best = view.best
         if not known:
             known.append(evaluator.evaluate(arx(2)))

@@ -1,11 +1,11 @@
 """Open-loop records of the plants of the built-in control problems: random steps of all inputs."""
 
 from functools import cache
-from importlib import resources
 from typing import Any
 
 import numpy as np
 
+from asia._files import PACKAGE
 from asia.data.sources.simulated import Simulation
 from asia.data.sources.source import Subset
 from asia.data.trajectory import Array
@@ -15,7 +15,7 @@ _SAMPLES, _DECIMALS = 800, 6
 
 @cache
 def _plant(problem: str) -> Any:
-    source = resources.files("asia").joinpath("problems", problem, "plant.py").read_text("utf-8")
+    source = (PACKAGE / "problems" / problem / "plant.py").read_text("utf-8")
     found: dict[str, Any] = {"__name__": "plant"}
     exec(compile(source, "plant.py", "exec"), found)
     return found["step"]

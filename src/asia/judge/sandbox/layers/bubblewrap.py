@@ -18,15 +18,20 @@ _SHM_BYTES = 16 * 1024 * 1024
 
 
 def bubblewrap_options(
-    tmp_bytes: int = _TMP_BYTES, *, shared: Collection[Shared] = (), nesting: bool = False
+    tmp_bytes: int = _TMP_BYTES,
+    *,
+    shown: Collection[str] = (),
+    shared: Collection[Shared] = (),
+    nesting: bool = False,
 ) -> list[str]:
     """Return the bwrap options of a worker, up to the command.
 
     Args:
-        shared, nesting: as in `walls`
+        shown, shared, nesting: as in `walls`; without nesting no process is shown below /proc
     """
     memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
-    options = walls(memory, _HOME, ["--chdir", _HOME], shared=shared, nesting=nesting)
+    shown = [*shown, "--chdir", _HOME]
+    options = walls(memory, _HOME, shown, shared=shared, nesting=nesting, processes=nesting)
     options += ["--uid", "65534", "--gid", "65534", "--hostname", "sandbox", "--clearenv"]
     for name, value in environment(_HOME).items():
         options += ["--setenv", name, value]
@@ -41,6 +46,7 @@ def walls(
     files: Collection[str] = (),
     shared: Collection[Shared] = (),
     nesting: bool = False,
+    processes: bool = True,
 ) -> list[str]:
     """bwrap options that show code alone, read-only.
 
@@ -51,6 +57,7 @@ def walls(
         files: of the system, where they exist
         shared: namespaces that stay the caller's, with its /proc
         nesting: whether more can be made
+        processes: whether /proc shows the namespace's processes and the kernel's counters
     """
     spaces = ("user", "ipc", "pid", "net", "uts", "cgroup-try")
     options = [f"--unshare-{space}" for space in spaces if space not in shared]
@@ -64,9 +71,12 @@ def walls(
     options += ["--dir", "/etc"]
     for name in (*SYSTEM_FILES, *files):
         options += ["--ro-bind-try", name, name]
-    # A root of the host owns /proc/sys inside too: without the remount it could write there.
-    own = ["--proc", "/proc", "--remount-ro", "/proc"]
-    options += [*(["--bind", "/proc", "/proc"] if "pid" in shared else own), "--dev", "/dev"]
+    if "pid" in shared:
+        options += ["--bind", "/proc", "/proc"]
+    elif processes:
+        # A root of the host owns /proc/sys inside too: without the remount it could write there.
+        options += ["--proc", "/proc", "--remount-ro", "/proc"]
+    options += ["--dev", "/dev"]
     for place, most in memory.items():
         options += ["--size", str(most), "--tmpfs", place]
     options += ["--dir", folder]

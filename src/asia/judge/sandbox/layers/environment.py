@@ -21,12 +21,11 @@ from asia.problem.plant import units_folder
 SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
 _CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
 _SYSTEM_CODE = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64")
-# Not all of /proc/self: `status` counts the signals of all processes of the user, `net` shows the
-# machine's network.
+CPU_FACTS = "/proc/cpuinfo"
+"""The one file of /proc that a worker reads: XLA chooses the arithmetic by it. Others count what
+all processes do, or show the inode numbers of mappings, which come from one counter."""
 _FACTS = (
-    *(f"/proc/self/{name}" for name in ("cmdline", "environ", "fd", "maps", "stat", "statm")),
-    "/proc/cpuinfo",
-    "/proc/sys/vm/overcommit_memory",
+    CPU_FACTS,
     *(f"/sys/devices/system/cpu/{name}" for name in ("online", "possible", "present")),
 )
 
@@ -105,10 +104,7 @@ def child_command(
 
 def readable() -> list[str]:
     """Return all paths that a worker under Landlock may read: code, and files that libraries ask
-    the system for.
-
-    Landlock binds a file of /proc/self to the process that opens it, the worker.
-    """
+    the system for."""
     code = [place for _, place in code_folders()]
     return [*_SYSTEM_CODE, *SYSTEM_FILES, *code, *_FACTS]
 

@@ -7,7 +7,9 @@ the layers, then a folder to read.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import mmap
 import os
 import signal
 import struct
@@ -25,10 +27,11 @@ else:
 
     del sys.path[0]
 
-LANDLOCK, SECCOMP, RLIMITS = "landlock", "seccomp", "rlimits"
+NAMESPACES, LANDLOCK, SECCOMP, RLIMITS = "namespaces", "landlock", "seccomp", "rlimits"
 WRITABLE = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 _CAPABILITY_VERSION_3 = 0x20080522
 _PR_SET_PDEATHSIG = 1
+_CLONE_VM = 0x100
 _AF_UNIX, _SOCK_STREAM = 1, 1
 
 
@@ -42,10 +45,9 @@ def confine(layers: Collection[str], readable: Sequence[str]) -> None:
     """
     if LANDLOCK not in layers and SECCOMP not in layers:
         return
-    threads = len(os.listdir("/proc/self/task"))
-    if threads != 1:
-        raise RuntimeError(f"{threads} threads run already; Landlock would bind one of them")
     libc = ctypes.CDLL(None, use_errno=True)
+    if not _is_alone(libc):
+        raise RuntimeError("several threads run already; Landlock would bind one of them")
     head = struct.pack("@Ii", _CAPABILITY_VERSION_3, 0)
     if libc.capset(head, bytes(24)) != 0:
         raise OSError(ctypes.get_errno(), "capabilities could not be dropped")
@@ -54,6 +56,15 @@ def confine(layers: Collection[str], readable: Sequence[str]) -> None:
         landlock.restrict(readable, WRITABLE)
     if SECCOMP in layers:
         seccomp.install()
+
+
+def _is_alone(libc: ctypes.CDLL) -> bool:
+    """Whether this process has one thread. Some containers deny the question, and they show
+    /proc."""
+    try:
+        return len(os.listdir("/proc/self/task")) == 1
+    except FileNotFoundError:
+        return libc.unshare(_CLONE_VM) == 0
 
 
 def holds(layers: Collection[str], folder: str) -> str | None:
@@ -68,8 +79,17 @@ def holds(layers: Collection[str], folder: str) -> str | None:
             return "Landlock is in force and stops nothing"
         except PermissionError:
             pass
-    if SECCOMP in layers and ctypes.CDLL(None).socket(_AF_UNIX, _SOCK_STREAM, 0) >= 0:
-        return "the filter on system calls is in force and stops nothing"
+    if SECCOMP in layers:
+        if ctypes.CDLL(None).socket(_AF_UNIX, _SOCK_STREAM, 0) >= 0:
+            return "the filter on system calls is in force and stops nothing"
+        with contextlib.suppress(OSError):
+            mmap.mmap(-1, mmap.PAGESIZE, mmap.MAP_SHARED).close()
+            return "memory can be shared with other processes"
+    if LANDLOCK in layers:
+        with contextlib.suppress(OSError), open("/proc/self/maps", "rb"):
+            return "files of /proc other than cpuinfo can be read"
+    if NAMESPACES in layers and os.path.exists("/proc/self"):
+        return "/proc shows processes"
     return None
 
 

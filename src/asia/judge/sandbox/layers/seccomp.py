@@ -41,7 +41,7 @@ mount_setattr 442 442; open_tree 428 428; move_mount 429 429; fsopen 430 430; fs
 swapon 167 224; swapoff 168 225; acct 163 89; syslog 103 116; vhangup 153 58; reboot 169 142
 setuid 105 146; setgid 106 144; setreuid 113 145; setregid 114 143; setresuid 117 147
 setresgid 119 149; setgroups 116 159; setfsuid 122 151; setfsgid 123 152; capset 126 91
-personality 135 92; sethostname 170 161; setdomainname 171 162; settimeofday 164 170
+capget 125 90; personality 135 92; sethostname 170 161; setdomainname 171 162; settimeofday 164 170
 clock_settime 227 112; clock_adjtime 305 266; adjtimex 159 171; kexec_load 246 104
 kexec_file_load 320 294; init_module 175 105; finit_module 313 273; delete_module 176 106
 iopl 172 -; ioperm 173 -; modify_ldt 154 -; timer_create 222 107
@@ -55,7 +55,8 @@ get_robust_list 274 100
 _CHECKED = """
 clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fcntl 72 25
 ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277; exit 60 93; exit_group 231 94
-madvise 28 233
+madvise 28 233; mmap 9 222; clock_gettime 228 113; clock_getres 229 114
+clock_nanosleep 230 115
 """
 _LAST_KNOWN = 450  # set_mempolicy_home_node; to the worker, later ones do not exist
 _ARCHITECTURES = {"x86_64": (0xC000003E, 1), "aarch64": (0xC00000B7, 2)}
@@ -70,7 +71,8 @@ _FCNTL = (0, 1, 2, 3, 4, 1030, 1032)
 # TCGETS and TCGETS2 (is it a terminal?), TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX.
 _IOCTL = (0x5401, 0x802C542A, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
 _KILLED = 128 + signal.SIGKILL
-_MADV_COLD, _MADV_PAGEOUT = 20, 21
+_MADV_MERGEABLE, _MADV_COLD, _MADV_PAGEOUT = 12, 20, 21
+_MAP_TYPE, _MAP_PRIVATE, _MAP_HUGETLB = 0x0F, 0x02, 0x40000
 _FUTEX_PRIVATE, _FUTEX_CLOCK = 0x80, 0x100
 _FUTEX_WAIT, _FUTEX_WAKE, _FUTEX_WAIT_BITSET = 0, 1, 9
 _PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS, _PR_GET_SECCOMP, _PR_SET_TIMERSLACK = 1, 38, 21, 29
@@ -146,10 +148,19 @@ def build(machine: str, pid: int) -> bytes:
     code += _when(known["ioctl"], _only(1, _IOCTL))
     code += _when(known["prctl"], _unless(0, _PR_SET_PDEATHSIG))
     code += _when(known["futex"], _futex())
-    # Throwing a file out of memory, so that another worker sees it come from the disk.
-    advice = _step(_LOAD, _low(2)) + _step(_JUMP_EQUAL, _MADV_COLD, 1, 0)
-    advice += _step(_JUMP_EQUAL, _MADV_PAGEOUT, 0, 1) + _deny() + _allow()
-    code += _when(known["madvise"], advice)
+    # Throwing a file out of memory, so that another worker sees it come from the disk, and sharing
+    # equal pages with other processes, which a write to one of them shows by its time.
+    advices = (_MADV_MERGEABLE, _MADV_COLD, _MADV_PAGEOUT)
+    code += _when(known["madvise"], _unless(2, *advices))
+    # Shared memory, of which each piece takes a number from one counter of the kernel. Pages of the
+    # huge kind are files to the kernel, private ones too.
+    private = _step(_LOAD, _low(3)) + _step(_JUMP_SET, _MAP_HUGETLB, 2, 0)
+    private += _step(_AND, _MAP_TYPE) + _step(_JUMP_EQUAL, _MAP_PRIVATE, 1, 0) + _deny() + _allow()
+    code += _when(known["mmap"], private)
+    # Negative numbers are clocks of processes and devices.
+    for name in ("clock_gettime", "clock_getres", "clock_nanosleep"):
+        own = _step(_LOAD, _low(0)) + _step(_JUMP_SET, 1 << 31, 0, 1) + _deny() + _allow()
+        code += _when(known[name], own)
     for name, number in known.items():
         if name not in checked:
             code += _when(number, _deny())
@@ -182,10 +193,12 @@ def _when(number: int, body: bytes) -> bytes:
     return _step(_JUMP_EQUAL, number, 0, len(body) // 8) + body
 
 
-def _unless(argument: int, value: int) -> bytes:
-    """Allow but for this value of the argument."""
+def _unless(argument: int, *values: int) -> bytes:
+    """Allow but for these values of the argument."""
     code = _step(_LOAD, _low(argument))
-    return code + _step(_JUMP_EQUAL, value, 0, 1) + _deny() + _allow()
+    for value in values:
+        code += _step(_JUMP_EQUAL, value, 0, 1) + _deny()
+    return code + _allow()
 
 
 def _only(argument: int, values: tuple[int, ...]) -> bytes:

@@ -13,11 +13,7 @@ from asia.judge.sandbox.layers.environment import (
     START_SECONDS,
     child_command,
     environment,
-    interpreter,
-    last_line,
     layer_remedy,
-    package_folder,
-    run_trial,
 )
 from asia.judge.sandbox.level import Level
 from asia.judge.sandbox.types import Isolation, Layer, Limits
@@ -34,14 +30,10 @@ class Landlock(Level):
         absent = self.missing()
         if absent:
             return "; ".join(absent.values())
-        script = package_folder() / "judge" / "sandbox" / "layers" / "lockdown.py"
-        walls = f"{Layer.LANDLOCK},{Layer.SECCOMP}"
-        command = [interpreter(), "-I", "-S", "-B", str(script), walls, str(package_folder())]
         try:
-            trial = run_trial(command)
+            return self.trial()
         except (OSError, subprocess.TimeoutExpired) as error:
             return f"a trial did not end within {START_SECONDS:g} s: {error}"
-        return None if trial.returncode == 0 else last_line(trial, "a trial failed silently")
 
     def remedy(self) -> str:
         steps = [layer_remedy(layer) for layer in self.missing()]

@@ -8,6 +8,7 @@ from shlex import quote
 
 from asia._text import one_line
 from asia.judge.scoring.outcome import Score
+from asia.ledger.looks import seal_words
 from asia.ledger.text import hand_over_text
 from asia.report.page.html import Html, facts, join, region, said, table, tag
 from asia.report.page.subject import Section, Subject
@@ -73,14 +74,16 @@ def _test(subject: Subject) -> Html | str:
     if view.started.test_digest is None:
         return "none"
     digest = tag("code", view.started.test_digest[:12])
-    state = "opened by this run once, after the search" if view.unsealed else "sealed, never opened"
+    state = "opened by this run once, after the search" if view.unsealed else "sealed"
     consent = view.unsealing is not None and view.unsealing.process_consent
     agreed = (
         "; the user agreed to open it, although candidates could have read it" if consent else ""
     )
-    before = view.unsealing.opened_before if view.unsealing else ()
-    earlier = join(("; opened before by ", said(", ".join(before)))) if before else None
-    return join((state, "; digest recorded before the first experiment: ", digest, agreed, earlier))
+    words = seal_words(subject.run.directory, view)
+    if words is None and view.unsealing is None:
+        words = "never opened"
+    looks = None if words is None else join(("; ", said(words, 800)))
+    return join((state, "; digest recorded before the first experiment: ", digest, agreed, looks))
 
 
 def _cost(subject: Subject) -> Html | str:

@@ -10,7 +10,7 @@ from asia.judge.evaluation.references import CONTROLLERS
 from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
-from asia.ledger.run import alarms, model_to_use, tested_model, usability
+from asia.ledger.run import alarms, model_to_use, tested_model, unguarded, usability
 from asia.ledger.view import Experiment
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
@@ -35,14 +35,20 @@ _BETTER = 0.95
 
 
 def _false_scores(subject: Subject) -> Iterator[str]:
-    """Yield the alarms of the search, without figures."""
+    """Yield the alarms of the search, and whether V stands alone, without figures."""
     view, best = subject.view, subject.view.best
     if best is None or best.score is None:
         return
     found = alarms(view)
     below = view.below_truth(best.score.value)
-    if len(found) > below:
+    total = view.looks[-1].total if view.looks else None
+    contradicted = total is not None and total.contradicted
+    if len(found) > below + contradicted:
         yield "The test error is far above V, so V is no measure of this model."
+    if contradicted:
+        yield "The guard records contradict V, so V is no measure of this model."
+    if words := unguarded(view):
+        yield words
     if below:
         yield "V is below that of the simulated truth, so the candidate contains held-out data."
 

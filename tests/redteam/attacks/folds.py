@@ -1,7 +1,7 @@
 """Candidates that pass the training outputs of one fold, which another fold holds out, to the
 worker of that fold: by files, memory and locks, or by what the machine counts for all processes."""
 
-from asia.assurance.redteam.attacks.source import candidate
+from tests.redteam.attacks.source import candidate
 
 PLACES = "[os.environ.get('HOME', '/tmp'), os.getcwd(), '/tmp', '/dev/shm', '/var/tmp']"
 _KEEP = f"""

@@ -1,9 +1,9 @@
 """Attacks by answers that depend on later inputs or on other windows."""
 
-from asia.assurance.redteam.attacks.source import candidate
-from asia.assurance.redteam.evidence import scores_better
-from asia.assurance.redteam.types import Barrier, CandidateAttack
 from asia.judge.evaluation.relations import SuspicionKind
+from tests.redteam.attacks.source import candidate
+from tests.redteam.evidence import scores_better
+from tests.redteam.types import Barrier, CandidateAttack
 
 # Candidates that read outputs off a feedback signal among the inputs, one sample into the future,
 # where no single splice of the inputs shows it.

@@ -5,11 +5,11 @@ None does harm where it succeeds: each opens, asks or allocates, and touches onl
 
 from collections.abc import Mapping
 
-from asia.assurance.redteam.attacks.folds import FOLDS, PLACES, WHISPERS
-from asia.assurance.redteam.attacks.source import candidate, steps
-from asia.assurance.redteam.evidence import a_step_succeeded, output_flooded, scores_better
-from asia.assurance.redteam.types import Barrier, CandidateAttack, Mistake, Success
 from asia.errors import Reason
+from tests.redteam.attacks.folds import FOLDS, PLACES, WHISPERS
+from tests.redteam.attacks.source import candidate, steps
+from tests.redteam.evidence import a_step_succeeded, output_flooded, scores_better
+from tests.redteam.types import Barrier, CandidateAttack, Mistake, Success
 
 _ALL = (Barrier.NAMESPACES, Barrier.LANDLOCK, Barrier.SECCOMP)
 _FILES = (Barrier.NAMESPACES, Barrier.LANDLOCK)

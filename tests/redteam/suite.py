@@ -11,14 +11,17 @@ from pathlib import Path
 
 from asia.agents.library.family import Family
 from asia.agents.library.registry import all_families
-from asia.assurance.redteam.arena import Interruption, attack_candidate, attack_unchecked
-from asia.assurance.redteam.attacks.searches import Scene
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.honest import HonestProblem, small_problems, try_honest
-from asia.assurance.redteam.outside.outer_sandbox import inside
-from asia.assurance.redteam.outside.without_isolation import OFF
-from asia.assurance.redteam.problem import Check
-from asia.assurance.redteam.types import (
+from asia.judge.executors import Executor
+from asia.judge.sandbox.levels import LEVELS
+from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.arena import Interruption, attack_candidate, attack_unchecked
+from tests.redteam.attacks.searches import Scene
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.honest import HonestProblem, small_problems, try_honest
+from tests.redteam.outside.outer_sandbox import inside
+from tests.redteam.outside.without_isolation import OFF
+from tests.redteam.problem import Check
+from tests.redteam.types import (
     ANY_LEVEL,
     Attack,
     AttackVerdict,
@@ -28,9 +31,6 @@ from asia.assurance.redteam.types import (
     SearchAttack,
     SuspicionFinding,
 )
-from asia.judge.executors import Executor
-from asia.judge.sandbox.levels import LEVELS
-from asia.judge.sandbox.types import Isolation, Layer
 
 # Everything at once: attacks at each level, the same with isolation off, honest candidates.
 
@@ -270,14 +270,19 @@ def report_table(report: RedTeamReport) -> str:
     return _aligned(rows)
 
 
-def without_table(findings: Sequence[Finding], attacks: Sequence[Attack]) -> str:
+def attack_table(attacks: Sequence[Attack]) -> str:
+    """Format the attacks in Markdown with the barriers that may stop them."""
+    rows = [["#", "attack", "what it tries", "stopped by"]]
+    rows += [[str(a.number), a.name, a.tries, ", ".join(a.stops)] for a in attacks]
+    return _aligned(rows)
+
+
+def without_table(findings: Sequence[Finding]) -> str:
     """Format the findings without layers in Markdown, by level and layers left out."""
-    names = {attack.number: attack.name for attack in attacks}
     rows = [["level", "without", "comes back"]]
     for key in sorted(dict.fromkeys((f.level, f.without) for f in findings), reverse=True):
         back = sorted(f.number for f in findings if (f.level, f.without) == key and f.through)
-        words = "; ".join(f"{number} {names[number]}" for number in back)
-        rows.append([key[0], ", ".join(key[1]), words or "nothing"])
+        rows.append([key[0], ", ".join(key[1]), ", ".join(map(str, back)) or "nothing"])
     return _aligned(rows)
 
 

@@ -8,11 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from asia.assurance.redteam.problem import Check, ProblemName
 from asia.errors import Reason
+from tests.redteam.problem import Check, ProblemName
 
 if TYPE_CHECKING:
-    from asia.assurance.redteam.attacks.searches import Scene
+    from tests.redteam.attacks.searches import Scene
 
 
 class Barrier(StrEnum):
@@ -31,10 +31,9 @@ class Barrier(StrEnum):
     FRESH = "fresh worker"
     READER = "source reader"
     """The process with limits that reads sources before the search does."""
-    LINT = "lint"
+    GUARD = "guard records"
+    """Records that nobody in a search can read: a gain that they do not show is unconfirmed."""
     METAMORPHIC = "metamorphic check"
-    DESCRIPTION = "description length"
-    """Literals of a new best against the information that it gained."""
     FEEDBACK = "feedback"
     LEDGER = "ledger"
     PROBLEM = "problem check"
@@ -82,6 +81,8 @@ class Observed:
     seconds: float = 0.0
     limit: float = 0.0
     """Time limit of a fit in seconds."""
+    unconfirmed: str = ""
+    """Gain on the guard records, in words, where it is less than half of that in V."""
     overran: bool = False
     """Whether no deadline ended it."""
     ran: bool = False

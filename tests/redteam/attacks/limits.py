@@ -15,11 +15,6 @@ from typing import Any
 import numpy as np
 
 from asia._source import source_facts
-from asia.assurance.redteam.arena import ScoreOnlySearch
-from asia.assurance.redteam.attacks.searches import Scene
-from asia.assurance.redteam.attacks.source import candidate
-from asia.assurance.redteam.problem import SmallProblem, small_problem
-from asia.assurance.redteam.types import Barrier, CandidateAttack, SearchAttack, SearchAttackResult
 from asia.candidate import check_source
 from asia.errors import CandidateError
 from asia.judge.evaluation.dry_runs import dry_run, made_up_fold
@@ -37,6 +32,11 @@ from asia.judge.scoring.outcome import Failure
 from asia.problem.budget import Budget
 from asia.problem.folds import Fold, make_folds
 from asia.problem.protocol_table import LADDER_STEP
+from tests.redteam.arena import ScoreOnlySearch
+from tests.redteam.attacks.searches import Scene
+from tests.redteam.attacks.source import candidate
+from tests.redteam.problem import SmallProblem, small_problem
+from tests.redteam.types import Barrier, CandidateAttack, SearchAttack, SearchAttackResult
 
 # Threads: the candidate has a score only where all of them ran at once.
 

@@ -9,8 +9,6 @@ import numpy as np
 from asia.agents.library.family import Family
 from asia.agents.library.registry import all_families
 from asia.agents.view import Facts
-from asia.assurance.redteam.arena import Interruption
-from asia.assurance.redteam.types import HonestFinding
 from asia.candidate import Context, check_source, executed_source
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import CandidateError, Reason
@@ -24,6 +22,8 @@ from asia.problem.physics import ParameterRange, Physics
 from asia.problem.problem import Problem
 from asia.problem.protocol import ProtocolRule
 from asia.search.agent_views import problem_facts
+from tests.redteam.arena import Interruption
+from tests.redteam.types import HonestFinding
 
 TWO_TANKS, SMALL_DRONE = "two_tanks_sim", "small drone"
 
@@ -135,7 +135,7 @@ def try_honest(
             followed = [i for i, known in enumerate(fold.followed) if known]
             found = suspicions(worker, fold.held_out, y_hat, fold.scale, horizon, followed=followed)
     except CandidateError as error:
-        flagged = error.reason in (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
+        flagged = error.reason in (Reason.SOURCE_SIZE, Reason.SUSPECT, Reason.RESTART)
         failure = None if flagged else error.reason
         seconds = time.monotonic() - begin
         return HonestFinding(row.name, problem.name, flagged, str(error)[:200], seconds, failure)

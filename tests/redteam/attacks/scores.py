@@ -1,7 +1,7 @@
 """Attacks on the score: manipulated replies, manipulated messages, search of the memory."""
 
-from asia.assurance.redteam.attacks.source import candidate
-from asia.assurance.redteam.evidence import (
+from tests.redteam.attacks.source import candidate
+from tests.redteam.evidence import (
     SPEECH,
     code_ran,
     has_score,
@@ -9,7 +9,7 @@ from asia.assurance.redteam.evidence import (
     output_flooded,
     scores_better,
 )
-from asia.assurance.redteam.types import Barrier, CandidateAttack, Mistake
+from tests.redteam.types import Barrier, CandidateAttack, Mistake
 
 _PATCH = """
 import builtins
@@ -302,7 +302,7 @@ SCORES = (
             ),
         },
         scores_better,
-        (Barrier.LINT, Barrier.METAMORPHIC, Barrier.PARENT),
+        (Barrier.METAMORPHIC, Barrier.GUARD, Barrier.PARENT),
     ),
     CandidateAttack(
         30,

@@ -5,7 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from asia.assurance.redteam.arena import (
+from asia.data.trajectory import Array
+from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
+from asia.problem.protocol_table import LADDER_STEP
+from tests.redteam.arena import (
     HALVINGS,
     ScoreOnlySearch,
     Spoil,
@@ -13,14 +16,11 @@ from asia.assurance.redteam.arena import (
     one_start,
     turn,
 )
-from asia.assurance.redteam.attacks.searches import Scene
-from asia.assurance.redteam.attacks.source import candidate
-from asia.assurance.redteam.evidence import scores_better
-from asia.assurance.redteam.problem import Principle
-from asia.assurance.redteam.types import Barrier, CandidateAttack, SearchAttack, SearchAttackResult
-from asia.data.trajectory import Array
-from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
-from asia.problem.protocol_table import LADDER_STEP
+from tests.redteam.attacks.searches import Scene
+from tests.redteam.attacks.source import candidate
+from tests.redteam.evidence import scores_better
+from tests.redteam.problem import Principle
+from tests.redteam.types import Barrier, CandidateAttack, SearchAttack, SearchAttackResult
 
 QUERIES = 200
 _SAMPLES, _ERROR, _SIZE = 2000, 0.3, 0.3

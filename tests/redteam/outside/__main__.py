@@ -1,4 +1,4 @@
-"""Program inside the outer sandbox: `python -m asia.assurance.redteam`.
+"""Program inside the outer sandbox: `python -m tests.redteam.outside`.
 
 Arguments: `off`, `control` (broken candidates, with isolation off) or a level, then the layers to
 leave out, and the attacks' numbers. It prints one finding a line.
@@ -8,23 +8,24 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from asia.assurance.redteam.arena import attack_candidate
-from asia.assurance.redteam.attacks.table import ATTACKS
-from asia.assurance.redteam.outside.outer_sandbox import write_finding
-from asia.assurance.redteam.outside.without_isolation import (
+from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.arena import attack_candidate
+from tests.redteam.attacks.doctor import DOCTOR
+from tests.redteam.attacks.table import ATTACKS
+from tests.redteam.outside.outer_sandbox import write_finding
+from tests.redteam.outside.without_isolation import (
     CONTROL,
     OFF,
     attack_without_isolation,
     broken,
 )
-from asia.assurance.redteam.types import AttackVerdict, CandidateAttack, Finding
-from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam.types import AttackVerdict, CandidateAttack, Finding
 
 
 def main(arguments: list[str]) -> None:
     level, layers, *numbers = arguments
     without = [Layer(word) for word in layers.split(",") if word]
-    for attack in ATTACKS:
+    for attack in (*ATTACKS, *DOCTOR):
         if str(attack.number) not in numbers:
             continue
         if level == OFF and not isinstance(attack, CandidateAttack):

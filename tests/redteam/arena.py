@@ -6,26 +6,25 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 
-from asia.assurance.redteam.attacks.source import HONEST, fill_in
-from asia.assurance.redteam.evidence import Targets, conclude, said_steps, targets, worst_of
-from asia.assurance.redteam.problem import Check, Principle, ProblemName, small_problem
-from asia.assurance.redteam.types import CandidateAttack, Finding, Observed, SuspicionFinding
-from asia.errors import Reason
-from asia.judge.evaluation.description import Guard, Standard, check_literals, guard_error
+from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker
 from asia.judge.sandbox.types import Isolation, Layer, Limits
 from asia.judge.sandbox.worker.worker import Worker
-from asia.judge.scoring.description import guard_gap
+from asia.judge.scoring.confirmation import Confirmation, guard_gain, share_gained
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import published, replay
 from asia.problem.folds import whole
 from asia.search.decision import decide
+from asia.search.guard import simulated
+from tests.redteam.attacks.source import HONEST, fill_in
+from tests.redteam.evidence import conclude, said_steps, targets, worst_of
+from tests.redteam.problem import Check, Principle, ProblemName, SmallProblem, small_problem
+from tests.redteam.types import CandidateAttack, Finding, Observed, SuspicionFinding
 
 # Evaluation of one cheating candidate with the real evaluator, and detection of its traces.
 
@@ -137,10 +136,10 @@ def _observe(
         least = honest if attack.folds != 1 else 0.0
         if isinstance(outcome, Score) and outcome.value < least:
             outcome = evaluator.objection(source, evaluation.folds) or outcome
-        if isinstance(outcome, Score) and outcome.value < least:
-            outcome = (
-                _objection_to_literals(attack, evaluator, source, given, evaluation) or outcome
-            )
+        unconfirmed = ""
+        if isinstance(outcome, Score) and outcome.value < least and not unchecked:
+            plain = fill_in(HONEST, given.source, problem)
+            unconfirmed = _unconfirmed(evaluator, problem, plain, source, evaluation)
         seconds = time.monotonic() - begin
         failed = isinstance(outcome, Failure)
         timeouts = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
@@ -152,6 +151,7 @@ def _observe(
             detail=outcome.detail if failed else "",
             output=output,
             steps=said_steps(output),
+            unconfirmed=unconfirmed,
             seconds=seconds,
             limit=attack.limit,
             overran=not failed or outcome.reason not in timeouts,
@@ -164,24 +164,27 @@ def _observe(
         )
 
 
-def _objection_to_literals(
-    attack: CandidateAttack, evaluator: Evaluator, source: str, given: Targets, found: Evaluation
-) -> Failure | None:
-    """As in a search with guard records, for attacks that bring data along: the others are stopped
-    without."""
-    if SuspicionKind.LITERALS not in attack.checks or not isinstance(found.outcome, Score):
-        return None
-    problem = small_problem(attack.problem)
-    first = fill_in(HONEST, given.source, problem)
-    plain = evaluator.evaluate(first)
-    assert isinstance(plain.outcome, Score)
-    standard = Standard(1, first, plain.outcome, plain.y_hats)
+def _unconfirmed(
+    evaluator: Evaluator, problem: SmallProblem, honest: str, source: str, found: Evaluation
+) -> str:
+    """Describe the gain over the honest candidate, if the guard records show less than half of it;
+    "" if they confirm it."""
     blocks = tuple(whole(problem.guard, problem.rule))
-    honest = guard_error(evaluator, first, [fold.model for fold in plain.folds], blocks)
-    assert isinstance(honest, Score)
-    guard = Guard(blocks, guard_gap(honest.value, plain.outcome.value))
-    check = check_literals(evaluator, source, found.outcome, found.folds, standard, lambda: guard)
-    return Failure(Reason.LITERALS, check.suspect) if check.suspect else None
+    before = evaluator.evaluate(honest)
+    assert isinstance(before.outcome, Score)
+    assert isinstance(found.outcome, Score)
+    gain = share_gained(before.outcome.value, found.outcome.value)
+    try:
+        y_hats = [
+            simulated(evaluator, text, [fold.model for fold in each.folds], blocks)
+            for text, each in ((honest, before), (source, found))
+        ]
+    except CandidateError as error:
+        return f"unconfirmed: {error.reason.value}"
+    data = evaluator.data
+    guard = guard_gain([b.y for b in blocks], *y_hats, data.scale, data.rule.metric)
+    confirmed = Confirmation(1, gain, guard).confirmed
+    return "" if confirmed else f"unconfirmed: gain {gain:.2g}, on the guard {guard.value:.2g}"
 
 
 # Early end of work in other threads.

@@ -18,8 +18,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from asia.assurance.redteam.attacks.source import STEPS
-from asia.assurance.redteam.types import (
+from asia.errors import Reason, SandboxError
+from asia.judge.sandbox.types import Layer
+from tests.redteam.attacks.source import STEPS
+from tests.redteam.types import (
     AttackVerdict,
     Barrier,
     CandidateAttack,
@@ -27,8 +29,6 @@ from asia.assurance.redteam.types import (
     Observed,
     Success,
 )
-from asia.errors import Reason, SandboxError
-from asia.judge.sandbox.types import Layer
 
 # Criteria for the success of an attack, observed from outside.
 
@@ -46,7 +46,7 @@ def a_step_succeeded(seen: Observed) -> bool:
 
 def scores_better(seen: Observed) -> bool:
     """Return whether it scores clearly better than the honest candidate it is built on."""
-    return seen.value is not None and seen.value < 0.8 * seen.honest
+    return seen.value is not None and not seen.unconfirmed and seen.value < 0.8 * seen.honest
 
 
 def has_score(seen: Observed) -> bool:
@@ -368,10 +368,8 @@ _BY_ERROR: dict[str, tuple[Barrier, ...]] = {
     "EFBIG": (Barrier.RLIMITS,),
 }
 _BY_REASON = {
-    Reason.LITERAL_DATA: Barrier.LINT,
     Reason.SUSPECT: Barrier.METAMORPHIC,
     Reason.RESTART: Barrier.METAMORPHIC,
-    Reason.LITERALS: Barrier.DESCRIPTION,
     Reason.FIT_TIMEOUT: Barrier.DEADLINE,
     Reason.SIMULATE_TIMEOUT: Barrier.DEADLINE,
     Reason.MEMORY: Barrier.RLIMITS,
@@ -441,11 +439,13 @@ def conclude(
         return finding(verdict, stops or [Barrier.PARENT], note)
     if seen.reason is not None:
         stop = _BY_REASON.get(seen.reason, Barrier.PARENT)
-        flagged = stop in (Barrier.LINT, Barrier.METAMORPHIC, Barrier.DESCRIPTION)
+        flagged = stop is Barrier.METAMORPHIC
         words = seen.reason.value
         if seen.reason is Reason.SUSPECT:
             words = ", ".join(part.partition(":")[0].strip() for part in seen.detail.split(";"))
         return finding(AttackVerdict.FLAGGED if flagged else AttackVerdict.BLOCKED, [stop], words)
+    if seen.unconfirmed:
+        return finding(AttackVerdict.FLAGGED, [Barrier.GUARD], seen.unconfirmed)
     verdict = AttackVerdict.BLOCKED if seen.value is None else AttackVerdict.NO_GAIN
     return finding(verdict, [Barrier.PARENT], scores)
 

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from asia.agents.view import AgentView, Proposal
-from asia.assurance.redteam.problem import small_problem
-from asia.assurance.redteam.types import Barrier, SearchAttack, SearchAttackResult
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.interfaces.workspace.workspace import Workspace
@@ -27,6 +25,8 @@ from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
 from asia.search.scores import ScoreCheck
+from tests.redteam.problem import small_problem
+from tests.redteam.types import Barrier, SearchAttack, SearchAttackResult
 
 LUCKY = """
 import os
@@ -44,7 +44,7 @@ class Model:
 def fit(trajectories, context):
     return Model(int.from_bytes(os.urandom(4), "big") / 2**32)
 """
-_RERUNS = (
+RERUNS = (
     LUCKY,
     "# once more, with luck\n" + LUCKY,
     LUCKY.replace("def fit", "\n\n\ndef fit").replace("(self, gain)", "( self,gain )"),
@@ -63,9 +63,9 @@ class Lucky:
     def propose(self, view: AgentView) -> Proposal | None:
         """The same again, in other clothes."""
         number = len(view.trials) - 1
-        if number >= len(_RERUNS):
+        if number >= len(RERUNS):
             return None
-        return Proposal(_RERUNS[number], "luck", f"rerun {number}", "luck", "a better draw")
+        return Proposal(RERUNS[number], "luck", f"rerun {number}", "luck", "a better draw")
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _write_problem(folder: Path) -> Path:
     (folder / "problem.toml").write_text(
         'name = "redteam"\nsampling_time = 1.0\ninputs = ["u"]\noutputs = ["y"]\n'
         '[data]\ntrain = ["train.csv"]\n[protocol]\npast_inputs = 4\npast_outputs = 4\n'
-        f"[budget]\nexperiments = {len(_RERUNS) + 1}\nfit_seconds = 60\n"
+        f"[budget]\nexperiments = {len(RERUNS) + 1}\nfit_seconds = 60\n"
     )
     return folder
 

@@ -20,8 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from asia.assurance.redteam.attacks.source import HONEST, fill_in
-from asia.assurance.redteam.evidence import (
+from asia.errors import Reason
+from asia.problem.folds import Fold, make_folds
+from tests.redteam.attacks.source import HONEST, fill_in
+from tests.redteam.evidence import (
     Targets,
     conclude,
     has_score,
@@ -30,10 +32,8 @@ from asia.assurance.redteam.evidence import (
     targets,
     worst_of,
 )
-from asia.assurance.redteam.problem import ProblemName, SmallProblem, small_problem
-from asia.assurance.redteam.types import AttackVerdict, CandidateAttack, Finding, Mistake, Observed
-from asia.errors import Reason
-from asia.problem.folds import Fold, make_folds
+from tests.redteam.problem import ProblemName, SmallProblem, small_problem
+from tests.redteam.types import AttackVerdict, CandidateAttack, Finding, Mistake, Observed
 
 # An evaluation without any isolation: the usual mistakes in one place. It is called in a process of
 # its own in an outer sandbox and nowhere else. Candidate and evaluator share that process; the

@@ -1,0 +1,101 @@
+"""Confirmation of a gain on records that nobody in the search could read.
+
+In cross-validation each training record is the answer of some fold. Where an agent can read the
+training records, a low V can be carried in by a source, or passed from fold to fold. A lower error
+on the guard records cannot: no fold, candidate or agent has them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from asia.data.trajectory import Array
+from asia.judge.scoring.bands import independent_errors
+from asia.judge.scoring.outcome import without_gaps
+from asia.judge.scoring.repeated_fits import (
+    BLOCKS,
+    Interval,
+    RepeatedFits,
+    block_values,
+    paired_difference,
+)
+
+HALF: Final = 0.5
+"""Share of the gain in V that must come back where nobody could read the answers."""
+LEVEL: Final = 0.8
+"""Level of the interval of a gain: each of its ends is passed by chance in one case of ten."""
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """Gain of a new best, and what confirms it. Gains are shares of the error before."""
+
+    since: int
+    """Experiment that the gain is counted from; 0 for the training mean."""
+    gain: float
+    """Gain in V."""
+    guard: Interval | None = None
+    """Gain on the guard records, with an interval of level `LEVEL`; None without guard records."""
+    sequential: float | None = None
+    """Gain in V with the folds fitted one after the other; None where that was not asked."""
+    detail: str = ""
+    """Failure of the candidate where it was asked; "" for none."""
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every answer holds at least half of the gain, and the one on the guard records
+        differs from nothing by more than chance."""
+        if self.detail:
+            return False
+        alone, guard, least = self.sequential, self.guard, HALF * self.gain
+        holds = guard is None or (guard.value >= least and (guard.low > 0.0 or self.gain <= 0.0))
+        return holds and (alone is None or alone >= least)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the guard records show less than half of the gain, by more than chance."""
+        return self.guard is not None and self.guard.high < HALF * self.gain
+
+
+def share_gained(before: float, after: float) -> float:
+    """Return the share by which an error fell."""
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def guard_gain(
+    y: Sequence[Array],
+    before: Sequence[Array],
+    after: Sequence[Array],
+    scale: Array,
+    metric: str,
+) -> Interval:
+    """Return the share by which the error fell from one simulation to another.
+
+    The interval is that of the paired difference over blocks of the records, which are as many as
+    there are independent differences of squared errors, `BLOCKS` at most (delete-a-block jackknife
+    with Student's t; a bootstrap over so few blocks would be too narrow).
+
+    Args:
+        y: measured outputs (H, ny) of each guard block
+        before, after: two simulations of them
+        scale: (ny,)
+    """
+    squares = [
+        [
+            np.sum(((without_gaps(a, b) - b) / scale) ** 2, axis=1)
+            for a, b in zip(y, each, strict=True)
+        ]
+        for each in (before, after)
+    ]
+    losses = [a - b for a, b in zip(*squares, strict=True)]
+    blocks = int(np.clip(independent_errors([losses]), 2, BLOCKS))
+    one, other = (
+        RepeatedFits(np.array([[values.mean()]]), values[None, None])
+        for values in (block_values(y, s, scale, metric, blocks) for s in (before, after))
+    )
+    found = paired_difference(one, other, LEVEL)
+    if one.value <= 0.0:
+        return Interval(0.0, 0.0, 0.0)
+    return Interval(found.value / one.value, found.low / one.value, found.high / one.value)
