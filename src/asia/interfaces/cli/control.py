@@ -230,7 +230,7 @@ def control(
     facts["missed_in_simulation"] = missed
     numbers = {one.name: getattr(controller, one.name) for one in fields(SampledController)}
     facts |= {"kind": kind, "at": at, "setpoint": loop.setpoint, "controller": plain(numbers)}
-    facts |= {"input": loop.u, "output": loop.y}
+    facts |= {"input": loop.u, "output": loop.y, "samples": len(made.target)}
     lines = _lines(loop, found, each, judged)
     lines[1:1] = beside
     if noisy is not None:
@@ -347,8 +347,8 @@ def loop_of_run(
 
     opened = open_run(directory)
     found = linearize(opened, [at] if at else (), number, isolation=isolation)
-    j = _chosen("--input", pair[0], found.inputs, [s.is_actuated for s in found.inputs])
-    i = _chosen("--output", pair[1], found.outputs, [True] * len(found.outputs))
+    j = chosen("--input", pair[0], found.inputs, [s.is_actuated for s in found.inputs])
+    i = chosen("--output", pair[1], found.outputs, [True] * len(found.outputs))
     point = found.points[0]
     own, y0 = opened.view.best, float(point.at.y[i])
     others: dict[str, LinearPoint] = {}
@@ -417,7 +417,7 @@ def loop_of_run(
     ), beside  # fmt: skip
 
 
-def _chosen(option: str, name: str | None, signals: Sequence[Signal], free: Sequence[bool]) -> int:
+def chosen(option: str, name: str | None, signals: Sequence[Signal], free: Sequence[bool]) -> int:
     """Place of the signal that is named, or of the only free one."""
     names = [one.name for one in signals]
     places = [k for k, one in enumerate(free) if one and name in (None, names[k])]

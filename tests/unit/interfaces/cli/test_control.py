@@ -38,8 +38,9 @@ from asia.analysis.control import (
     simulate_loop,
     zero_order_hold,
 )
+from asia.data.trajectory import Signal
 from asia.errors import UserError
-from asia.interfaces.cli.control import pid_gains, rational
+from asia.interfaces.cli.control import chosen, pid_gains, rational
 from tests.unit.interfaces.cli.conftest import command_line
 
 
@@ -451,3 +452,16 @@ def test_a_loop_is_not_much_faster_than_asked() -> None:
     assert found.violated == ()
     assert 1.4 <= found.figures.settling <= 6.0
     assert found.controller.den[-1] == 0
+
+
+def test_the_input_of_a_loop_is_the_only_one_that_is_set() -> None:
+    signals = Signal("heater"), Signal("weather", role="disturbance")
+    free = [one.is_actuated for one in signals]
+    assert chosen("--input", None, signals, free) == 0
+    for name in ("weather", "pump"):
+        with pytest.raises(UserError, match=f"'{name}': expected one of heater"):
+            chosen("--input", name, signals, free)
+    both = Signal("heater"), Signal("flow")
+    assert chosen("--input", "flow", both, [True, True]) == 1
+    with pytest.raises(UserError, match="is missing: expected one of heater, flow"):
+        chosen("--input", None, both, [True, True])
