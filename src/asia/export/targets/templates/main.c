@@ -1,6 +1,6 @@
 /* Simulates a CSV file: a row of names, then rows of inputs and outputs. Outputs of the
- * first rows start the model, the others are compared with. A column of time in s may come
- * first: its step is checked. */
+ * first rows start the model, the others are compared with. A column `time` or `t` in s
+ * may come first: its step is checked. */
 #include "model.h"
 #include <math.h>
 #include <stdio.h>
@@ -54,8 +54,8 @@ int main(int argc, char **argv)
     }
     for (i = 1, at = fgets(names, sizeof names, file); at != NULL && *at != '\0'; ++at)
         i += *at == ',';
-    timed = i - COLUMNS;
-    if (timed != 0 && timed != 1) {
+    timed = i == COLUMNS + 1 && (strncmp(names, "time", 4) == 0 || strncmp(names, "t,", 2) == 0);
+    if (i != COLUMNS + timed) {
         fprintf(stderr, "%s: expected the columns @COLUMNS@, separated by commas\n", argv[1]);
         return 2;
     }
