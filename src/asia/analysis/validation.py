@@ -17,9 +17,11 @@ from asia.data.trajectory import Array, Trajectory, data_digest, filled
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
+from asia.judge.scoring.bands import HeldOutErrors, error_sizes
 from asia.judge.scoring.checks.check import Check, Verdict, most_serious, summary
 from asia.judge.scoring.checks.errors import (
     check_bands,
+    check_largest_error,
     check_overfit,
     check_region,
     check_steps_ahead,
@@ -51,7 +53,7 @@ from asia.ledger.evidence import findings_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.view import Experiment
 from asia.problem.check import responses
-from asia.problem.folds import Block, Case, whole
+from asia.problem.folds import Block, Case, past_outputs, whole
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
 from asia.search.run import LOCK, make_evaluator
@@ -75,6 +77,7 @@ VALIDATION_CHECKS: dict[str, ValidationCheck] = {
     "frequency response": check_frequency_response,
     "poles and static gain": check_responses,
     "ten horizons": check_long_run,
+    "largest error": check_largest_error,
 }
 """The built-in checks, in the order to read them."""
 
@@ -187,17 +190,17 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     each = max(1, 24 // len(long))
     found: list[Block] = []
     for block in long:
-        y = filled(block.y)
         for at in np.linspace(past, len(block.y) - _AHEAD, each).astype(int).tolist():
+            ahead, before = block.y[at : at + _AHEAD], block.y[:at]
+            if np.isnan(ahead).all(axis=0).any() or np.isnan(before).all(axis=0).any():
+                continue
             case = replace(
                 block.case,
                 past_u=block.case.u[at - given.past_inputs : at],
-                past_y=y[at - given.past_outputs : at],
+                past_y=past_outputs(block.y, at, given.past_outputs, block.case.name),
                 u=block.case.u[at : at + _AHEAD],
             )
-            ahead = block.y[at : at + _AHEAD]
-            if not np.isnan(ahead).all(axis=0).any():
-                found.append(Block(case, ahead, 0, block.start + at))
+            found.append(Block(case, ahead, 0, block.start + at))
     return found
 
 
@@ -339,7 +342,7 @@ class _Validation:
             for fold, simulated in zip(self.evaluator.data.folds, basis.simulated, strict=True)
             for block, y_hat in zip(fold.held_out, simulated, strict=True)
         ]
-        found = self._simulations(pairs)
+        found = self._simulations(pairs, self.problem.train)
         windows = self.evaluator.data.horizon is not None
         return (
             *self._registered_checks(found),
@@ -350,6 +353,7 @@ class _Validation:
                 lambda: self._check_windows(pairs) if windows else self._check_starts(),
             ),
             *_run_check("region of validity", lambda: check_region(found, basis.region)),
+            *_run_check("output bands", lambda: self._check_left_out(basis)),
         )
 
     def new_records(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
@@ -361,7 +365,7 @@ class _Validation:
             )
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
         pairs = list(zip(blocks, y_hat, strict=True))
-        found, basis = self._simulations(pairs), self._basis
+        found, basis = self._simulations(pairs, records), self._basis
         windows = self.evaluator.data.horizon is not None
         return (
             *self._registered_checks(found),
@@ -412,20 +416,33 @@ class _Validation:
             each = simulate_members(self.evaluator, self.run, behind, blocks)
         except CandidateError:
             return no_bands("a fold model does not simulate this record")
-        held, known = 0.0, 0
+        held, known, errors = 0.0, 0, list[Array]()
         for block, folds, mean in zip(blocks, each, y_hat, strict=True):
             bands, _ = basis.around(block.case, folds, mean, BAND_LEVEL)
             inside = (bands.lower <= block.y) & (block.y <= bands.upper)
             held, known = held + inside.sum(axis=0), known + (~np.isnan(block.y)).sum(axis=0)
-        outputs = [s.name for s in self.problem.outputs]
-        return check_bands(held / np.maximum(known, 1), outputs, BAND_LEVEL)
+            errors.append(block.y - mean)
+        worth = np.array(error_sizes([HeldOutErrors(tuple(errors))]).independent)
+        return self._banded(basis, held / np.maximum(known, 1), worth)
 
-    def _simulations(self, pairs: Sequence[tuple[Block, Array]]) -> SimulatedBlocks:
+    def _check_left_out(self, basis: BandBasis) -> Check:
+        """Check the coverage of each fold by the bands of the other folds."""
+        worth = np.array(error_sizes(basis.errors, by_step=basis.windows).independent)
+        return self._banded(basis, basis.calibration.held.mean(axis=0), worth)
+
+    def _banded(self, basis: BandBasis, held: Array, independent: Array) -> Check:
+        outputs = [s.name for s in self.problem.outputs]
+        return check_bands(held, independent, outputs, BAND_LEVEL, basis.calibration.withdrawn)
+
+    def _simulations(
+        self, pairs: Sequence[tuple[Block, Array]], records: Sequence[Trajectory]
+    ) -> SimulatedBlocks:
         return SimulatedBlocks(
             tuple(SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs),
             tuple(s.name for s in self.problem.inputs),
             tuple(s.name for s in self.problem.outputs),
             self.problem.sampling_time,
+            tuple(r.name for r in records),
         )
 
     def _registered_checks(self, found: SimulatedBlocks) -> tuple[Check, ...]:

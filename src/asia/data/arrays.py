@@ -10,8 +10,9 @@ import numpy as np
 from asia._text import suggestion
 from asia.data.intake.conversion import Intake, TablePart, Use, make_records
 from asia.data.intake.sheet import Column, FileTable, Wanted, find_column, split_unit
-from asia.data.intake.time import JITTER, seconds, time_column
-from asia.data.trajectory import Array, Signal
+from asia.data.intake.time import JITTER
+from asia.data.intake.timestamps import Timeline, read_times, time_column
+from asia.data.trajectory import Array, Signal, real_numbers
 from asia.errors import UserError
 
 _IGNORE_INDEX = "drop the index (reset_index(drop=True)) and give sampling_time"
@@ -107,11 +108,13 @@ def _part(
     own = [found for v in (u, y) if (found := _time_index(v, where)) is not None]
     if len(own) == 2:
         _check_same_times(own[0], own[1])
-    timestamps = _seconds(own[0]) if own else None
+    line = _times(own[0]) if own else None
+    timestamps = None if line is None else line.seconds
     if timestamps is not None and not np.isfinite(timestamps).all():
         rows = np.isfinite(timestamps)
         us, ys, timestamps = us[rows], ys[rows], timestamps[rows]
-    return TablePart(name, us, ys, timestamps, None, where, 1, is_file=True)
+    text = "" if line is None else line.text
+    return TablePart(name, us, ys, timestamps, None, where, 1, is_file=True, time=text)
 
 
 def _time_index(values: Any, where: str) -> FileTable | None:
@@ -132,8 +135,8 @@ def _time_index(values: Any, where: str) -> FileTable | None:
     return None
 
 
-def _seconds(sheet: FileTable) -> Array:
-    return seconds(sheet, next(iter(sheet.columns)), Wanted((), ()))
+def _times(sheet: FileTable) -> Timeline:
+    return read_times(sheet, next(iter(sheet.columns)), Wanted((), ()))
 
 
 def _check_same_times(u: FileTable, y: FileTable) -> None:
@@ -145,7 +148,7 @@ def _check_same_times(u: FileTable, y: FileTable) -> None:
     if kinds[0] != kinds[1]:
         raise UserError(f"{where}: one of u and y has dates as its index, the other has numbers")
     both = replace(first_column, cells=np.concatenate(cells))
-    timestamps = _seconds(replace(u, columns={name: both}))
+    timestamps = _times(replace(u, columns={name: both})).seconds
     first, second = timestamps[: len(cells[0])], timestamps[len(cells[0]) :]
     step = float(np.median(np.diff(first))) if len(first) > 1 else 1.0
     apart = np.abs(second - first)
@@ -160,7 +163,9 @@ def _check_same_times(u: FileTable, y: FileTable) -> None:
 def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:
     names = [str(column) for column in getattr(values, "columns", ())]
     try:
-        array = np.asarray(values.to_numpy() if names else values)
+        # Missing values of data frames are NaN, whatever marks them.
+        options = {"na_value": np.nan} if hasattr(values, "iloc") else {}
+        array = values.to_numpy(**options) if names else values
         # Of a data frame only the columns that are asked for need to be numbers.
         if names:
             found = [find_column(names, s.name) for s in signals]
@@ -170,10 +175,13 @@ def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:
                     f"{what}: no column '{missing}' (it has {', '.join(names)})"
                     f"{suggestion(missing, names)}"
                 )
+            for name in found:
+                if names.count(str(name)) > 1:
+                    raise UserError(f"{what}: {names.count(str(name))} columns are named '{name}'")
             array = array[:, [names.index(name) for name in found if name is not None]]
-        array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise UserError(f"{what} do not read as numbers: {error}") from None
+    array = real_numbers(array, what)
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2:
         raise UserError(

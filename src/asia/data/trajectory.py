@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeGuard
+from typing import Any, Literal, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,23 @@ class Signal:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
+def real_numbers(values: object, what: str) -> Array:
+    """Numbers as float64, NaN where a masked array is masked. Raises UserError for complex numbers
+    and for values that are no numbers."""
+    array: Any = values if isinstance(values, np.ndarray) else np.asarray(values)
+    if array.dtype.kind == "c":
+        raise UserError(
+            f"{what} holds complex numbers, expected real ones: give the real part, or real and "
+            "imaginary parts as two signals"
+        )
+    try:
+        if isinstance(array, np.ma.MaskedArray):
+            return np.ma.filled(array.astype(np.float64), np.nan)
+        return array.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{what} cannot be converted to numbers: {error}") from None
+
+
 def _is_frozen(values: object) -> TypeGuard[Array]:
     """Return whether the array is read-only, so that records can share it."""
     if not isinstance(values, np.ndarray) or values.dtype != np.float64:
@@ -56,7 +73,7 @@ def _is_frozen(values: object) -> TypeGuard[Array]:
 
 
 def _frozen(values: object, what: str, *, gaps: bool = False) -> Array:
-    array = values if _is_frozen(values) else np.array(values, dtype=np.float64, order="C")
+    array = values if _is_frozen(values) else np.ascontiguousarray(real_numbers(values, what))
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2:

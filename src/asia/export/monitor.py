@@ -24,8 +24,8 @@ from asia.analysis.monitor import (
 )
 from asia.data.intake.formats import file_format
 from asia.data.intake.sheet import Wanted
-from asia.data.intake.time import time_column
-from asia.data.trajectory import Array, Signal, Trajectory
+from asia.data.intake.timestamps import time_column
+from asia.data.trajectory import Array, Signal, Trajectory, real_numbers
 from asia.errors import UserError
 from asia.export.linear import StepModels, step_models
 from asia.export.model import ExportModel, TrainingWindow
@@ -156,7 +156,7 @@ class Monitor:
             UserError: for another number of values, and inputs that are not finite
         """
         low = self.observer.low
-        row, seen = (np.atleast_1d(np.asarray(x, np.float64)) for x in (u, y))
+        row, seen = (np.atleast_1d(real_numbers(x, n)) for x, n in ((u, "u"), (y, "y")))
         if row.shape != (low.nu,) or seen.shape != (low.ny,):
             raise UserError(
                 f"a sample has {low.nu} inputs and {low.ny} outputs, got {row.shape} and "

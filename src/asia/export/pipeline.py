@@ -484,6 +484,8 @@ def _bands(
         np.repeat(side, every, axis=0) for side in (first.past_u, first.past_y, first.u)
     )
     found = simulate(run.directory, past_u, past_y, u, use, bands=_LEVEL, isolation=isolation)
+    if any(found.withdrawn):
+        return ()
     inside = ~found.outside if not found.outside.all() else np.ones_like(found.outside)
     return (Band(_LEVEL, 0.5 * (found.upper - found.lower)[inside].mean(axis=0)),)
 

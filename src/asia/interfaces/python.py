@@ -15,7 +15,7 @@ from asia._api import run as search_for_model
 from asia._text import say
 from asia.agents.view import Agent
 from asia.data.arrays import name_signals, one_a_record, read_arrays
-from asia.data.trajectory import Array, Signal, filled
+from asia.data.trajectory import Array, Signal, real_numbers
 from asia.errors import UserError
 from asia.export.linear import linearize
 from asia.export.pipeline import Exported
@@ -25,7 +25,9 @@ from asia.ledger.events import Evaluated, Event, Use
 from asia.ledger.evidence import IdentifiedParameter, identified
 from asia.ledger.run import Run, find_run, model_to_use, open_run
 from asia.ledger.text import error_value
+from asia.ledger.verdict import Usability, usability
 from asia.ledger.view import SearchView
+from asia.problem.folds import past_outputs
 from asia.problem.load import load_lock
 from asia.problem.plant import plant_file
 from asia.problem.problem import Problem
@@ -190,8 +192,8 @@ class SystemIdentifier:
             plant=self.plant,
         )
         if self.progress:
-            for warning in problem.warnings:
-                say(warning)
+            for text in (*problem.readings, *problem.warnings):
+                say(text)
         self.run_ = search_for_model(
             problem,
             agent=self.agent,
@@ -235,19 +237,19 @@ class SystemIdentifier:
         if horizon < 1:
             raise UserError(f"horizon is {horizon}, expected at least 1 sample")
         found = np.full((len(y), ny), np.nan)
-        starts = range(rule.past, len(y) - horizon + 1)
-
-        def past_outputs(k: int) -> Array:
-            """The outputs before sample k; where one was not measured, from samples before k."""
-            window = y[k - rule.past_outputs : k]
-            if np.isnan(window).any():
-                return filled(y[:k])[k - rule.past_outputs :]
-            return window
+        never = np.logical_and.accumulate(np.isnan(y)).any(axis=1)  # By this sample.
+        first = max(rule.past, int(never.sum()) + 1 if rule.past_outputs else 0)
+        starts = range(first, len(y) - horizon + 1)
 
         for first in range(0, len(starts), 4096):
             part = starts[first : first + 4096]
             cases = [
-                (u[k - rule.past_inputs : k], past_outputs(k), u[k : k + horizon]) for k in part
+                (
+                    u[k - rule.past_inputs : k],
+                    past_outputs(y, k, rule.past_outputs, "y"),
+                    u[k : k + horizon],
+                )
+                for k in part
             ]
             ends = simulate_cases(self._opened.directory, cases, self.model)
             found[[k + horizon - 1 for k in part]] = [end[-1] for end in ends]
@@ -273,7 +275,7 @@ class SystemIdentifier:
         cases = [
             (
                 r.u[rule.past - rule.past_inputs : rule.past],
-                r.y[rule.past - rule.past_outputs : rule.past],
+                past_outputs(r.measured_y, rule.past, rule.past_outputs, r.name),
                 r.u[rule.past :],
             )
             for r in records
@@ -330,6 +332,13 @@ class SystemIdentifier:
         return best.score.value
 
     @property
+    def verdict_(self) -> Usability:
+        """The verdict on the model to use, as every command prints it."""
+        found = usability(open_run(self._opened.directory).view)
+        assert found is not None
+        return found
+
+    @property
     def source_(self) -> str:
         """The best candidate's code."""
         best = self._opened.view.best
@@ -341,10 +350,11 @@ class SystemIdentifier:
         """The parameters of the model fitted to all records, with their uncertainty: a data frame,
         one row a parameter, or without pandas a tuple of objects.
 
-        Columns: `value`, `unit`, `standard_error`; `low` and `high`, the 95 % interval;
-        `fold_error`, the standard error by the spread of the fold models; `lower` and `upper`, the
-        search range; `identifiable`, whether the records determine it. No rows where the best
-        candidate has no parameters.
+        Columns: `value`, `unit`, `standard_error`; `low` and `high`, the 95 % interval that
+        `asia show` prints; `fold_error`, the standard error by the spread of the fold models;
+        `lower` and `upper`, the search range; `identifiable`, whether the records determine it. No
+        rows where the best candidate has no parameters. Without a refit the values are means over
+        the fold models.
         """
         model = identified(self._opened)
         found = () if model is None else model.parameters
@@ -352,17 +362,18 @@ class SystemIdentifier:
             import pandas as pd
         except ImportError:
             return found
-        estimates = ("value", "unit", "standard_error", "low", "high")
+        estimates = ("value", "unit", "standard_error")
         rows = [
             {
                 **{name: getattr(one.fitted, name) for name in estimates},
+                **dict(zip(("low", "high"), one.interval or (None, None), strict=True)),
                 "fold_error": one.fold_error,
                 **{name: getattr(one.fitted, name) for name in ("lower", "upper", "identifiable")},
             }
             for one in found
         ]
         names = pd.Index([one.fitted.name for one in found], name="parameter")
-        columns = [*estimates, "fold_error", "lower", "upper", "identifiable"]
+        columns = [*estimates, "low", "high", "fold_error", "lower", "upper", "identifiable"]
         frame = pd.DataFrame(rows, index=names, columns=columns)
         numbers = [name for name in columns if name not in ("unit", "identifiable")]
         return frame.astype(dict.fromkeys(numbers, float))
@@ -406,7 +417,7 @@ class SystemIdentifier:
         settings = (*given, self.symmetry, self.description, *plant, *times)
         digest = hashlib.sha256(repr(settings).encode())
         for record in records:
-            array = np.asarray(record, dtype=np.float64)
+            array = real_numbers(record, "a record")
             digest.update(repr(array.shape).encode() + array.astype("<f8").tobytes())
         return Path(self.runs) / "problems" / f"records-{digest.hexdigest()[:8]}"
 
@@ -439,10 +450,7 @@ def _parameters() -> list[str]:
 
 def _table(values: Any, channels: int, name: str) -> Array:
     """(T, channels). Raises UserError for another shape."""
-    try:
-        found = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{name} cannot be converted to numbers: {error}") from None
+    found = real_numbers(values, name)
     found = found[:, None] if found.ndim == 1 else found
     if found.ndim != 2 or found.shape[1] != channels:
         raise UserError(f"{name} has shape {np.shape(values)}, expected (samples, {channels})")

@@ -438,6 +438,7 @@ def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScor
 
 LEAST_SHARE = 0.5
 """Share of the information that must come from the records to determine a parameter."""
+FITTED = "fitted to all training records"
 STRONG = 0.95
 """Parameters whose errors are correlated more than this are known together only."""
 DISAGREEMENT = 3.0
@@ -506,6 +507,8 @@ class EstimatedModel:
     names, values and equations are the candidate's claims."""
     reason: str = ""
     """Why there are no standard errors; "" where there are, and in older ledgers."""
+    source: str = FITTED
+    """Where the values are from, in a few words."""
 
 
 @dataclass(frozen=True)
@@ -601,6 +604,8 @@ class IdentifiedModel:
     """As in `EstimatedModel`."""
     reason: str = ""
     """As in `EstimatedModel`."""
+    source: str = FITTED
+    """As in `EstimatedModel`."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -623,9 +628,35 @@ class IdentifiedModel:
 _FITTED: TypeAdapter[EstimatedModel] = TypeAdapter(EstimatedModel)
 
 
-def put_estimates(store: Store, estimates: ParameterEstimates, *, library: bool = False) -> str:
+def fold_estimates(tables: Sequence[Mapping[str, float]]) -> EstimatedModel | None:
+    """Parameters of a model without a refit: means over its fold models, with their scatter as
+    error. None where the fold models do not name the same ones, or there is only one.
+
+    Args:
+        tables: as in `with_fold_values`
+    """
+    names = [name for name in (tables[0] if tables else {}) if all(name in t for t in tables)]
+    if len(tables) < 2 or not names:
+        return None
+    found: list[EstimatedParameter] = []
+    for name in names:
+        values = [table[name] for table in tables]
+        value = math.fsum(values) / len(values)
+        error = jackknife_error(value, values)
+        wide = FOLD_QUANTILE * error
+        found.append(
+            EstimatedParameter(name, "", value, error, value - wide, value + wide, None, None, 1.0)
+        )
+    source = "mean over the fold models with their scatter as error, because there is no refit"
+    return EstimatedModel(tuple(found), (), (), source=source)
+
+
+def put_estimates(
+    store: Store, estimates: ParameterEstimates | EstimatedModel, *, library: bool = False
+) -> str:
     """Store estimates and return the name of the artifact. library: as in `EstimatedModel`."""
-    return store.put(_FITTED.dump_json(replace(estimated(estimates), library=library)))
+    model = estimates if isinstance(estimates, EstimatedModel) else estimated(estimates)
+    return store.put(_FITTED.dump_json(replace(model, library=library)))
 
 
 def get_estimates(store: Store, name: str) -> EstimatedModel:
@@ -649,7 +680,7 @@ def identified(run: Run) -> IdentifiedModel | None:
     rows = with_fold_values(fitted, tables, jackknife=not one_sided)
     return IdentifiedModel(
         refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library,
-        fitted.reason,
+        fitted.reason, fitted.source,
     )  # fmt: skip
 
 

@@ -9,13 +9,11 @@ from typing import Literal
 from asia._diagnostic import error_sentence
 from asia._text import one_line
 from asia.errors import UserError
-from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
-from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.outcome import Failure, Score
+from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
-from asia.ledger.events import Started, StressTest, TestedModel, Unsealed, Use
-from asia.ledger.view import FAR_ABOVE_V, SearchView, replay
+from asia.ledger.events import Started, TestedModel, Unsealed, Use
+from asia.ledger.view import SearchView, replay
 
 ERROR = "error.txt"
 """Name of the file next to the ledger with the error that stopped the search last."""
@@ -139,206 +137,10 @@ def model_to_use(view: SearchView) -> ModelToUse | None:
     return ModelToUse(refitted.use, refitted.reason)
 
 
-def stress_text(test: StressTest) -> str:
-    """Describe what a model did on training inputs in other combinations, in a sentence."""
-    start = f"On training inputs in other combinations the {test.model}"
-    if test.reach is None:
-        return f"{start} gives no finite outputs within the time limit."
-    return (
-        f"{start} takes {test.output} {test.reach:.3g} times as far from the middle of its "
-        "training range as any measured output."
-    )
-
-
-@dataclass(frozen=True)
-class Usability:
-    """Verdict on the model to use."""
-
-    kind: Literal["usable", "doubtful", "not usable"]
-    reasons: tuple[str, ...]
-    """Sentences, the most important first; empty for a usable model."""
-
-
-# Ratios of V to that of the mean or of the linear model from which on a model is not, or hardly,
-# better; of the largest to the smallest V of the folds, and of other seeds, that are doubtful.
-NO_BETTER, _FOLDS_APART, _SEEDS_APART = 0.95, 4.0, 2.0
-# Difference between fold models on the training records, in standard deviations of the output.
-_MODELS_APART = 0.5
-
-
-def usability(view: SearchView) -> Usability | None:
-    """Judge the model to use by the ledger alone; None while there is no model.
-
-    Not usable: worse than the mean of the output in a fold, diverges in the stress simulation,
-    contradicted by the test or a heavy check. Doubtful: folds, fold models, seeds or repeated fits
-    differ, a nonlinear model is no better than the linear one, a light check does not pass, or the
-    candidate or the agent could see held-out data.
-    """
-    best = view.best
-    if best is None or best.score is None:
-        return None
-    value, values = best.score.value, [fold.value for fold in best.score.folds]
-    refitted = view.refitted
-    is_stack = refitted is not None and refitted.use == "stack" and refitted.stack is not None
-    if refitted is not None and refitted.stack is not None and is_stack:
-        value, values = refitted.stack.value, list(refitted.stack.folds)
-    wrong, doubts = [f"{text[:1].upper()}{text[1:]}." for text in alarms(view)], list[str]()
-    references = {r.name: r.outcome for r in view.references if isinstance(r.outcome, Score)}
-    mean, linear = references.get("training mean"), references.get("linear model")
-    worse = [
-        k + 1 for k, own in enumerate(values) if mean is not None and own >= mean.folds[k].value
-    ]
-    if mean is not None and (worse or value >= NO_BETTER * mean.value):
-        where = f" in fold {', '.join(map(str, worse))}" if worse else ""
-        wrong.append(
-            f"It is {'worse' if worse else 'no better'} than the mean of the output{where} "
-            f"(V {value:.3g}, mean {mean.value:.3g})."
-        )
-        wrong.append(
-            (refitted.cause if refitted is not None else "")
-            or view.experiments[-1].proposed.remark
-            or "Do the inputs act on the outputs? Was the plant in closed loop? Is it unstable? "
-            "Read the output of asia check. For an unstable plant use short windows: "
-            'kind = "windows" in [protocol].'
-        )
-    if refitted is not None and (loop := refitted.feedback) is not None:
-        many = len(loop.inputs) > 1
-        who = f"Input{'s' * many} {', '.join(loop.inputs)} follow{'s' * (not many)} earlier outputs"
-        help = "Name the measured reference in [loop]."
-        if loop.declared:
-            doubts.append(
-                "The records come from a closed loop, and this model was fitted as if they did "
-                "not: its gains may be biased, which V on such records does not show. Compare "
-                + (f"#{loop.sound:02d}, " if loop.sound is not None else "")
-                + 'linear with loop = "direct", or set inputs = "explained" in [loop].'
-            )
-        elif loop.pole is not None:
-            wrong.append(
-                f"{who}, and the plant between them is unstable (largest pole {loop.pole:.3g}): a "
-                f"controller holds it, and this model describes both. {help}"
-            )
-        else:
-            doubts.append(f"{who}: in closed loop the model may describe the controller. {help}")
-    test = refitted.stress[-1] if refitted is not None and refitted.stress else None
-    failed = refitted.failed_checks if refitted is not None else ()
-    if any("stress simulation" in line for line in failed):
-        doubts.append("The stress simulation failed, so nothing is known of other inputs.")
-    if test is not None and test.outcome != "bounded":
-        advice = "Record more levels, each input with steps of its own."
-        if test.outcome != "diverges":
-            advice = f"Is the plant an integrator? If not: {advice[:1].lower()}{advice[1:]}"
-        (wrong if test.outcome == "diverges" else doubts).append(f"{stress_text(test)} {advice}")
-    for validation in view.validated:
-        where = f" on the record {validation.record}" if validation.record else ""
-        for check in validation.checks:
-            if check.verdict in (Verdict.DOUBT, Verdict.FAIL):
-                ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
-                cause = f" ({check.cause})" if check.cause else ""
-                sentence = f"The check '{check.name}' {ends}{where}{cause}."
-                (wrong if check.weight > 1.0 else doubts).append(sentence)
-    if linear is not None and value > linear.value:
-        doubts.append(f"It is worse than a linear model (V {value:.3g}, {linear.value:.3g}).")
-    elif (
-        linear is not None
-        and value > NO_BETTER * linear.value
-        and best.proposed.family not in ("linear", "arx")
-        and best.score.value != linear.value  # The baseline is that model.
-    ):
-        doubts.append(f"It is hardly better than a linear model (V {linear.value:.3g}).")
-    if max(values) > _FOLDS_APART * min(values):
-        doubts.append(
-            f"V of the folds is {min(values):.3g} to {max(values):.3g}: record more of what only "
-            "one part of the records shows."
-        )
-    seeds = () if is_stack else best.seed_values
-    if seeds and max(seeds) > _SEEDS_APART * min(seeds):
-        doubts.append(f"Other seeds give V from {min(seeds):.3g} to {max(seeds):.3g}.")
-    check = None if refitted is None or is_stack else refitted.check
-    apart = check.fold_disagreement if check is not None else None
-    if apart is not None and apart > _MODELS_APART:
-        doubts.append(
-            f"The fold models differ by {apart:.2g} standard deviations of the output: record "
-            "longer."
-        )
-    start, again = view.started, refitted.again if refitted is not None else None
-    errors = [f.diagnostics.train_error for f in best.result.folds] if best.result else []
-    deadline = best.result is not None and best.result.deadline
-    doubts += [
-        sentence
-        for holds, sentence in (
-            (bool(unguarded(view)), unguarded(view)),
-            (
-                start.isolation == "process",
-                "Candidates ran without isolation and could have read the held-out data.",
-            ),
-            (
-                start.early_stopping == "validation",
-                "Candidates saw their score on the held-out data during training.",
-            ),
-            (start.residuals == "held_out", "The agent saw held-out residuals."),
-            (
-                again is not None and (again.ratio is None or abs(again.ratio - 1.0) > 0.01),
-                "A second fit of the winner failed or gave another error.",
-            ),
-            (
-                consistency(best.score.value, errors) < SUSPICIOUS_RATIO,
-                "The error on held-out data is far below that on training data.",
-            ),
-            (deadline, "The winner's fit reached its deadline, so it depends on the machine."),
-        )
-        if holds
-    ]
-    kind = "not usable" if wrong else "doubtful" if doubts else "usable"
-    return Usability(kind, (*wrong, *doubts))
-
-
-def unguarded(view: SearchView) -> str:
-    """Return why V alone stands for the result of a search; "" where it is evidence, or where
-    guard records confirm it."""
-    if not view.started.gate or view.started.guard_digest is not None:
-        return ""
-    return (
-        "V alone proves little here: the agent could read the training records, and no guard "
-        "records are held back to confirm it. Record more, or name some in data.guard."
-    )
-
-
 def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
     """The result of the sealed test for this model; that of the ensemble if it has none."""
     found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
     return record.ensemble if found is None else found
-
-
-def alarms(view: SearchView) -> tuple[str, ...]:
-    """Return what is said before everything else: a test error far above V, a gain that the guard
-    records contradict, and a V that no model can have."""
-    found: list[str] = []
-    best = view.best
-    if best is None or best.score is None:
-        return ()
-    value, named = best.score.value, model_to_use(view)
-    if view.unsealed is not None and named is not None:
-        model = tested_model(view.unsealed, named.model)
-        error = model.error if isinstance(model, TestedModel) else None
-        if error is not None and error > FAR_ABOVE_V * value > 0:
-            found.append(
-                f"the test error is {error / value:.3g} times V, far more than in honest searches "
-                f"that went well ({FAR_ABOVE_V:g} at most): V is no measure of this model"
-            )
-    total = view.looks[-1].total if view.looks else None
-    if total is not None and total.guard is not None and total.contradicted:
-        since = f"since #{total.since:02d}" if total.since else "from the training mean"
-        found.append(
-            f"V fell by {total.gain:.0%} {since}, the error on the guard records by "
-            f"{total.guard.value:.0%} (at most {total.guard.high:.0%}): V is no measure of this "
-            "model"
-        )
-    if view.truth is not None and view.below_truth(value):
-        found.append(
-            f"V {value:.4g} of #{best.number:02d} is below that of the simulated truth, "
-            f"{view.truth:.4g}, which no model can reach: the candidate contains held-out data"
-        )
-    return tuple(found)
 
 
 # Result of the expert at the same budget, for comparison with a search that costs money.

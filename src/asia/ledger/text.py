@@ -268,7 +268,7 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
     if not found.parameters:
         return
     own = "" if found.library else ", as the candidate's own code reports them"
-    yield f"parameters, fitted to all training records{own}:"
+    yield f"parameters, {found.source}{own}:"
     heads = "", "value", "unit", "std. error", "by folds", "95 % interval", "decided by"
     columns = [*zip(*(_parameter_row(one) for one in found.parameters), strict=True)]
     table = [(head, *cells) for head, cells in zip(heads, columns, strict=True) if any(cells)]
@@ -375,6 +375,7 @@ def identified_object(found: IdentifiedModel) -> dict[str, Any]:
         "correlation": [list(row) for row in found.correlation],
         "equations": list(found.equations),
         "reported_by": "library" if found.library else "candidate",
+        "source": found.source,
         "no_intervals": found.reason or None,
         "remarks": list(interval_lines(found)),
     }

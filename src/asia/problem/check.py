@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -11,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from asia.data.bad_samples import find_bad_samples
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
 from asia.data.relations import (
     ALONE,
@@ -41,7 +41,7 @@ from asia.problem.protocol import ProtocolRule
 # Shorter records hold too little for a correlation.
 _SHORTEST = 64
 _HIGHEST_ORDER = 50
-_MISSING_CODE = re.compile(r"-?999+(\.9+)?")
+_BAD = {"outlier": 0.3, "code": 0.7, "frozen": 0.7, "overflow": 0.9}
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,7 @@ class CheckReport:
                 "from sample to sample, and inputs are held; spectra, delays, feedback and a "
                 "linear model need one sampling time and are left out"
             ]
+        lines += [f"read: {text}" for text in problem.readings]
         lines += [_signal_line(s, irregular=place is not None) for s in self.signals]
         lines += [
             f"record {t.name}: {len(t)} samples, "
@@ -523,7 +524,7 @@ def delay_lines(problem: Problem) -> list[str]:
     return lines
 
 
-# Missing outputs, feedback, drift, converter steps and outliers of training records.
+# Missing outputs, feedback, drift, converter steps and bad samples of training records.
 
 
 def _missing_line(problem: Problem) -> str:
@@ -551,7 +552,7 @@ def feedback_pairs(problem: Problem) -> list[tuple[Signal, Signal]]:
 
 
 def data_doubts(problem: Problem) -> list[Doubt]:
-    """Sentences on feedback, and on drift, steps, outliers and missing-value codes."""
+    """Sentences on feedback, drift, converter steps and bad samples."""
     doubts = [
         Doubt(
             f"input {given.name} follows earlier values of output {output.name}: it may come from "
@@ -562,9 +563,8 @@ def data_doubts(problem: Problem) -> list[Doubt]:
         )
         for given, output in feedback_pairs(problem)
     ]
-    for i, given in enumerate(problem.inputs):
-        values = np.concatenate([r.u[:, i] for r in problem.train])
-        doubts += _missing_codes(values, f"input {given.name}", repeated=False)
+    names = [[s.name for s in side] for side in (problem.inputs, problem.outputs)]
+    doubts += [Doubt(str(one), _BAD[one.kind]) for one in find_bad_samples(problem.train, *names)]
     for j, output in enumerate(problem.outputs):
         name, unit = f"output {output.name}", f" {output.unit}".rstrip()
         parts = [r.y[:, j] for r in problem.train]
@@ -572,8 +572,6 @@ def data_doubts(problem: Problem) -> list[Doubt]:
         if np.ptp(values) > 0:
             doubts += _drift(problem.train, parts, name, unit)
             doubts += _quantization(values, name, unit)
-            doubts += _outliers(problem.train, parts, name)
-            doubts += _missing_codes(values, name, repeated=True)
     return doubts
 
 
@@ -613,53 +611,6 @@ def _quantization(values: Array, name: str, unit: str) -> list[Doubt]:
         f"{share:.1%} of its standard deviation"
     )
     return [Doubt(text, 0.2 + 2.0 * share, f"larger inputs, or a finer sensor for {name}")]
-
-
-def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) -> list[Doubt]:
-    """Single samples that jump away from both neighbours, far beyond a usual change."""
-    usual = float(np.median(np.abs(np.concatenate([np.diff(p) for p in parts]))))
-    limit = max(10.0 * 1.4826 * usual, float(np.concatenate(parts).std()))
-    if usual == 0:
-        return []
-    found: list[tuple[str, int]] = []
-    for record, y in zip(records, parts, strict=True):
-        if len(y) < 3:
-            continue
-        middle = np.median(np.stack([y[:-2], y[1:-1], y[2:]]), axis=0)
-        found += [(record.name, int(k) + 2) for k in np.flatnonzero(abs(y[1:-1] - middle) > limit)]
-    if not found:
-        return []
-    many = "1 sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
-    where = f"sample {found[0][1]} of record '{found[0][0]}'"
-    text = (
-        f"{name}: {many} away from both neighbours, the first at {where}: check for outliers, and "
-        "cut the record there"
-    )
-    return [Doubt(text, 0.3)]
-
-
-def _missing_codes(values: Array, name: str, repeated: bool) -> list[Doubt]:
-    """Values far from all others that a logger writes where it has none: nines, such as -9999, and
-    with `repeated` any that stay the same to the last digit."""
-    low, high = (float(v) for v in np.quantile(values, (0.025, 0.975)))
-    away = 3.0 * (high - low)
-    far = (values < low - away) | (values > high + away)
-    if away == 0 or not far.any():
-        return []
-    code = np.array([_MISSING_CODE.fullmatch(f"{v:g}") is not None for v in values[far]])
-    if repeated:
-        same = np.diff(values) == 0
-        code |= (np.append(same, False) | np.append(False, same))[far]
-    found, others = values[far][code], values[~far]
-    if not found.size:
-        return []
-    shown = ", ".join(f"{v:g}" for v in np.unique(found)[:3])
-    text = (
-        f"{name} has {shown} in {len(found)} sample{'s' if len(found) > 1 else ''}, the others lie "
-        f"from {others.min():.3g} to {others.max():.3g}: if these mark missing values, leave the "
-        "cells empty"
-    )
-    return [Doubt(text, 0.7)]
 
 
 # The sealed test, from its public header.

@@ -11,7 +11,7 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from asia._files import read_file, sync_folder
+from asia.data.bad_samples import BadSamples, find_bad_samples
 from asia.data.intake.conversion import Intake, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
@@ -182,6 +183,8 @@ class _Records:
     """Whether the files can stay where they are, because they need no change."""
     units: Mapping[str, str]
     notes: tuple[str, ...]
+    readings: tuple[str, ...] = ()
+    """Sampling time of each file, and the evidence for it."""
     references: tuple[str, ...] = ()
     """References of the training records."""
 
@@ -236,13 +239,20 @@ def _read_records(
                 "one by one"
             )
     notes = tuple(dict.fromkeys(note for one in (found, *tests) for note in one.notes))
+    readings = tuple(dict.fromkeys(text for one in (found, *tests) for text in one.readings))
     units = {name: unit for one in (*tests, found) for name, unit in one.units.items()}
     # The names become distinct file names.
     every = [t for one in (found, *tests) for t in one.records]
     bare = [re.sub(r"[^\w.+-]+", "_", t.name).strip("._") or "record" for t in every]
     records = [replace(t, name=n) for t, n in zip(every, unique_names(bare), strict=True)]
     is_text = all(path.suffix.lower() in Text.suffixes for path in (*train, *test))
-    is_special = bool(wanted.experiment or wanted.columns or wanted.time_unit or test_experiments)
+    is_special = bool(
+        wanted.experiment
+        or wanted.columns
+        or wanted.time_unit
+        or wanted.missing
+        or test_experiments
+    )
     is_whole = len(records) == len(train) + len(test)
     return _Records(
         train=tuple(records[: len(found.records)]),
@@ -253,6 +263,7 @@ def _read_records(
         plain=is_text and is_whole and not (notes or units or is_special),
         units=units,
         notes=notes,
+        readings=readings,
         references=tuple(references),
     )
 
@@ -378,6 +389,8 @@ class NewProblem:
     notes: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
     """Findings in the files and the changes made to them."""
+    bad: tuple[BadSamples, ...] = ()
+    """Bad samples of the training records and of the test inputs."""
 
 
 def init_problem(
@@ -509,9 +522,13 @@ def init_problem(
         origins = [f"made by asia init from {_origin(path)}" for path in (*train, *test)]
         comments = [*origins, *taken.notes]
         data = [f"# {''.join(c if c.isprintable() else ' ' for c in line)}" for line in comments]
+        data.append(f"readings = {toml_value(list(taken.readings))}")
     data.append(f"train = {toml_value(train_files)}")
     if not files and wanted.time is not None:
         data.append(f"time = {toml_value(wanted.time)}")
+    if wanted.missing:
+        entries = [asdict(entry) for entry in wanted.missing]
+        data.append(f"missing = {toml_value(entries)}")
     if sealing is not None:
         data.append(sealing.toml().rstrip("\n"))
     elif test_files:
@@ -545,11 +562,17 @@ def init_problem(
         metrics=listed_metrics(but="rmse"),
     )
     many = f"{len(taken.train)} training and {len(taken.test)} test records"
-    read = (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes, *preprocess)
+    summary = f"{many}, sampled every {taken.sampling_time:g} s"
+    read = (summary, *taken.readings, *taken.notes, *preprocess)
+    # Nothing of the outputs of a test is told.
+    bad = (
+        *find_bad_samples(records, inputs, outputs),
+        *find_bad_samples(tests, inputs, outputs, only_inputs=True),
+    )
 
     if sealing is None:
         write_directory(directory, files)
-        return NewProblem(directory / "problem.toml", read=read)
+        return NewProblem(directory / "problem.toml", read=read, bad=bad)
     folder = key_folder(keys)
     check_key_folder(folder, directory)
     key = write_directory(directory, files, partial(sealing.write, train=records, keys=folder))
@@ -561,7 +584,7 @@ def init_problem(
             "agents that build the models",
             *notes,
         )
-    return NewProblem(directory / "problem.toml", directory / STORE, key, removed, notes, read)
+    return NewProblem(directory / "problem.toml", directory / STORE, key, removed, notes, read, bad)
 
 
 def _origin(path: Path) -> str:

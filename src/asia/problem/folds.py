@@ -251,29 +251,33 @@ def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: in
     case = Case(
         name=record.name,
         past_u=record.u[start - rule.past_inputs : start],
-        past_y=_past_outputs(record, start, rule.past_outputs),
+        past_y=past_outputs(record.measured_y, start, rule.past_outputs, record.name),
         u=record.u[start:stop],
     )
     return Block(case, record.measured_y[start:stop], index, start)
 
 
-def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
+def past_outputs(measured: Array, start: int, count: int, name: str) -> Array:
     """The `count` outputs before `start`.
 
     Where one was not measured it is filled from samples before `start` alone, so that none of those
     to simulate shows.
 
+    Args:
+        measured: (T, ny), NaN where an output was not measured
+        name: of the record
+
     Raises:
         UserError: where there is none
     """
     window = slice(start - count, start)
-    if record.missing is None or not record.missing[window].any():
-        return record.y[window]
-    known = record.measured_y[:start]
+    if not np.isnan(measured[window]).any():
+        return measured[window]
+    known = measured[:start]
     never = np.isnan(known).all(axis=0)
     if never.any():
         raise UserError(
-            f"record '{record.name}': output {int(np.argmax(never)) + 1} is not measured before "
+            f"record '{name}': output {int(np.argmax(never)) + 1} is not measured before "
             f"sample {start + 1}, where a simulation starts from past outputs: cut the record so "
             "that it begins with a measured sample"
         )

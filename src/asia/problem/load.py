@@ -292,6 +292,7 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         preprocess=done,
         recorded=channels if done else None,
         warnings=records.warnings,
+        readings=records.readings,
         symmetry=file.symmetry,
         period=file.data.period,
         loop=loop,

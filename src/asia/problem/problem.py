@@ -98,6 +98,8 @@ class Problem:
     """Noise-free outputs (T, ny) of the training records; for simulated systems only."""
     warnings: tuple[str, ...] = ()
     """Doubts about the data, in plain words."""
+    readings: tuple[str, ...] = ()
+    """Sampling time of each file, and the evidence for it."""
     preprocess: Preprocess = field(default_factory=Preprocess)
     recorded: Channels | None = None
     """Signals and sampling time before that; None where nothing is done."""
@@ -221,7 +223,11 @@ class Problem:
             files["baseline.py"] = baseline
         files["problem.toml"] = toml_text(tables)
         problem: Problem = create.save_problem(directory, files)
-        return replace(problem, warnings=(*train.notes, *test.notes, *problem.warnings))
+        return replace(
+            problem,
+            warnings=(*train.notes, *test.notes, *problem.warnings),
+            readings=(*train.readings, *test.readings),
+        )
 
     @property
     def guard_names(self) -> tuple[str, ...]:

@@ -240,7 +240,7 @@ def _parameters_table(view: SearchView, found: IdentifiedModel) -> str:
         ])  # fmt: skip
     head = ["Parameter", "Value", "Unit", "Standard error", "by folds", r"95\,\% interval",
             "decided by", ""]  # fmt: skip
-    content = "Parameters of the winner, fitted to all training records"
+    content = f"Parameters of the winner, {found.source}"
     content += "" if found.library else ", as the candidate's own code reports them"
     return _table(view, content, "lrlrrrll", head, rows)
 

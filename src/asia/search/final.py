@@ -37,7 +37,7 @@ from asia.ledger.events import (
     Stack,
     StackMember,
 )
-from asia.ledger.evidence import put_estimates
+from asia.ledger.evidence import EstimatedModel, findings_of, fold_estimates, put_estimates
 from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
@@ -457,7 +457,7 @@ def refit_winner(
         stack = make()
     estimates: str | None = None
     with diagnostic("parameter intervals", failed):
-        estimates = _kept_estimates(store, checked, store.text(best.proposed.source))
+        estimates = _kept_estimates(store, checked, best)
     again: Again | None = None
     if refit is not None:
         # The second fit of one fold, compared with the first one.
@@ -550,9 +550,13 @@ def _is_sound_in_loop(problem: Problem, source: str) -> bool:
     return explained or recipe is None or bool(recipe.get("loop") and not recipe.maps)
 
 
-def _kept_estimates(store: Store, checked: CheckedRefit, source: str) -> str | None:
-    found = checked.estimates
+def _kept_estimates(store: Store, checked: CheckedRefit, best: Experiment) -> str | None:
+    """Those of the refit; without one, those of the fold models."""
+    found: ParameterEstimates | EstimatedModel | None = checked.estimates
+    if checked.model is None:
+        findings = findings_of(store, best, bounded=False)
+        found = fold_estimates([dict(one.parameters) for one in findings])
     if found is None or not found.parameters:
         return None
-    recipe = read_recipe(source)
+    recipe = read_recipe(store.text(best.proposed.source))
     return put_estimates(store, found, library=recipe is not None and recipe.package == MODELS)

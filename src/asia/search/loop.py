@@ -42,7 +42,7 @@ from asia.ledger.events import (
 )
 from asia.ledger.exports import write_exports
 from asia.ledger.index import refresh
-from asia.ledger.run import NO_BETTER
+from asia.ledger.verdict import beats_mean
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
@@ -165,9 +165,8 @@ class Loop:
                     self.problem, self.evaluator, self.view, best, self.store, metric, self.gate
                 )
                 assert best.score is not None
-                shown = self._shown()
-                if shown.mean is not None and best.score.value >= NO_BETTER * shown.mean:
-                    refitted = replace(refitted, cause=why_nothing_helps(shown))
+                if not beats_mean(self.view):
+                    refitted = replace(refitted, cause=why_nothing_helps(self._shown()))
             self.record(refitted)
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):

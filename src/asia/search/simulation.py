@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia._text import one_line
-from asia.data.trajectory import Array, filled
+from asia.data.trajectory import Array, filled, real_numbers
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.bands import (
     Bands,
+    Calibration,
     ErrorSizes,
     HeldOutErrors,
     Region,
+    calibrate,
     error_sizes,
     output_bands,
     region_of,
@@ -108,8 +110,15 @@ class BandBasis:
     """True if the protocol simulates windows, so that errors depend on the step."""
 
     @cached_property
+    def calibration(self) -> Calibration:
+        """Check of the bands on folds that did not make them."""
+        return calibrate(self.errors, BAND_LEVEL, by_step=self.windows)
+
+    @cached_property
     def _sizes(self) -> ErrorSizes:
-        return error_sizes(self.errors, by_step=self.windows)
+        wide = self.calibration.factor
+        wider = [HeldOutErrors(tuple(wide * block for block in e.blocks)) for e in self.errors]
+        return error_sizes(wider, by_step=self.windows)
 
     def around(
         self, case: Case, folds: Array, y_hat: Array, level: float
@@ -163,7 +172,7 @@ class BandedSimulation:
     """Simulated outputs (H, ny), physical units."""
     lower: Array
     upper: Array
-    """Edges of the bands (H, ny)."""
+    """Edges of the bands (H, ny); NaN for an output whose band is withdrawn."""
     level: float
     """The share of measured outputs that the bands are meant to hold."""
     outside: NDArray[np.bool_]
@@ -171,6 +180,8 @@ class BandedSimulation:
     range, an input changes faster than it did there, or inputs and simulated outputs are together
     farther from the mean than 99 % of the training samples. The bands are wider there.
     """
+    withdrawn: tuple[str, ...]
+    """The reason why there is no band, one an output; "" where there is one."""
 
 
 @overload
@@ -243,7 +254,10 @@ def simulate(
     found, outside = basis.around(block.case, folds, y_hat, bands)
     mean, lower, upper = (done.refined(edge, len(u)) for edge in (y_hat, found.lower, found.upper))
     outside = np.repeat(outside, done.decimate)[: len(u)]
-    return BandedSimulation(mean, lower, upper, bands, outside)
+    withdrawn = basis.calibration.withdrawn
+    without = np.array([bool(reason) for reason in withdrawn])
+    lower, upper = (np.where(without, np.nan, edge) for edge in (lower, upper))
+    return BandedSimulation(mean, lower, upper, bands, outside, withdrawn)
 
 
 def simulate_cases(
@@ -275,7 +289,8 @@ def _block(
     ):
         if np.shape(array) != shape:
             raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
-    before, past, after = (np.asarray(a, np.float64) for a in (past_u, past_y, u))
+    pairs = (("past_u", past_u), ("past_y", past_y), ("u", u))
+    before, past, after = (real_numbers(array, name) for name, array in pairs)
     if np.isnan(past).all(axis=0).any() and len(past):
         raise UserError("past_y has an output without a measured sample: give a later start")
     past = filled(past)

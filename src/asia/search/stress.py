@@ -24,14 +24,14 @@ from asia.judge.evaluation.references import LINEAR
 from asia.judge.evaluation.results import RefitModel
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Refitted, Stack, StackMember, StressTest, Use
-from asia.ledger.run import ModelToUse, stress_text
+from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_value
+from asia.ledger.verdict import BOUNDED, stress_text
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Block, Case, cut
 from asia.problem.protocol import ProtocolRule
 
-LIMIT = 5.0
-"""Largest distance of an output from the middle of its training range, in half ranges."""
+LIMIT = BOUNDED.level
 TIMES_LINEAR = 3.0
 """The same, relative to that of the best linear model on the same inputs."""
 HORIZONS = 10

@@ -165,7 +165,7 @@ def _score(
             )
         else:
             with diagnostic("output bands", failed):
-                bands = scorer.bands(view)
+                bands = scorer.bands(view, failed)
     return Unsealed(
         experiment=best.number,
         test_digest=digest,
@@ -215,8 +215,9 @@ class _TestScorer:
         ).value  # fmt: skip
         return TestedModel(scores, self.store.put_arrays(simulated), mee, error)
 
-    def bands(self, view: SearchView) -> TestBands | None:
-        """The bands of the model to use, and how many of the measured samples they hold."""
+    def bands(self, view: SearchView, notes: list[str]) -> TestBands | None:
+        """The bands of the model to use, and how many of the measured samples they hold; None with
+        a note where the band of an output is withdrawn."""
         named = model_to_use(view)
         assert named is not None
         final = self._each_simulation(final_members(view, named.model))
@@ -224,6 +225,10 @@ class _TestScorer:
         if final is None or folds is None:
             return None
         basis = band_basis(self.evaluator, view, self.store, named.model)
+        for output, reason in zip(self.problem.outputs, basis.calibration.withdrawn, strict=True):
+            if reason:
+                notes.append(f"output bands of {output.name} are withdrawn: {reason}")
+                return None
         lows: list[Array] = []
         highs: list[Array] = []
         outsides: list[Array] = []

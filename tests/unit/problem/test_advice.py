@@ -50,7 +50,7 @@ def test_each_fault_is_said_once(tanks: Problem) -> None:
     faults = {
         "rises by": y + np.linspace(0.0, 20.0, SAMPLES),
         "is quantized in steps of 0.8 m": 0.8 * np.round(y / 0.8),
-        "2 samples jump away from both neighbours, the first at sample 201 of record 'r'": spiked,
+        "2 samples jump away from both neighbours, the first at row 201 of record 'r'": spiked,
     }
     for said, values in faults.items():
         (doubt,) = map(str, data_doubts(of(tanks, u, values)))
@@ -63,8 +63,12 @@ def test_logger_codes_of_missing_values_are_reported(tanks: Problem) -> None:
     coded[400] = -9999.0
     held[300:305] = -999.9
     stuck[300:303] = 32767.0
-    faults = {"input u has -9999 in 1 sample,": (coded, y), "output y has -999.9 in 5": (u, held)}
-    for said, signals in {**faults, "output y has 32767 in 3": (u, stuck)}.items():
+    faults = {
+        "input u is -9999 in row 401 of record 'r'": (coded, y),
+        "output y is -999.9 in 5 samples, the first in row 301": (u, held),
+        "output y is 32767 in 3 samples, the first in row 301": (u, stuck),
+    }
+    for said, signals in faults.items():
         doubts = [str(one) for one in data_doubts(of(tanks, *signals))]
         assert [said in doubt for doubt in doubts] == [True]
     kicked = u * 1e-3

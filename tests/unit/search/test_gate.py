@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from asia.judge.sandbox.types import Isolation
-from asia.ledger.run import alarms, open_run, unguarded, usability
+from asia.ledger.run import open_run
+from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.verification import verify
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem

@@ -17,7 +17,8 @@ from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, Evaluator
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
-from asia.ledger.run import Usability, open_run, usability
+from asia.ledger.run import open_run
+from asia.ledger.verdict import Usability, usability
 from asia.models import linear
 from asia.problem.feedback import Loop
 from asia.problem.folds import make_folds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -15,6 +15,7 @@ from asia._text import suggestion
 from asia.data.intake.formats import FORMATS, file_format
 from asia.data.intake.sheet import (
     FileTable,
+    Missing,
     Wanted,
     find_channels,
     find_column,
@@ -31,10 +32,9 @@ from asia.data.intake.time import (
     held,
     places,
     runs,
-    seconds,
     segments,
-    time_column,
 )
+from asia.data.intake.timestamps import check_time_unit, read_times, time_column
 from asia.data.trajectory import Array, Trajectory, unique_names
 from asia.errors import UserError
 
@@ -54,6 +54,10 @@ class TablePart:
     first_line: int
     is_file: bool = False
     """Whether it is the one record of its file."""
+    time: str = ""
+    """Column of the time stamps and its pattern, in words."""
+    notes: tuple[str, ...] = ()
+    """Changes made to the values."""
 
     def rows(self, rows: slice | Rows) -> TablePart:
         """Return the part with these rows alone."""
@@ -79,7 +83,11 @@ def expanded(sheet: FileTable, wanted: Wanted) -> Wanted:
 
 
 def parts(sheet: FileTable, wanted: Wanted) -> list[TablePart]:
-    """Raise UserError where a column is missing or holds no numbers."""
+    """The channels as numbers; values that the user calls missing are NaN.
+
+    Raises:
+        UserError: where a column is missing or holds no numbers
+    """
     for name in wanted.names:
         require_column(sheet, name)
     names = (*wanted.inputs, *wanted.outputs)
@@ -89,10 +97,19 @@ def parts(sheet: FileTable, wanted: Wanted) -> list[TablePart]:
         )
         for n in names
     }
+    notes: list[str] = []
+    for entry in wanted.missing:
+        for n in names if entry.signal is None else {entry.signal} & set(names):
+            marked = entry.marks(values[n])
+            if marked.any():
+                values[n] = np.where(marked, np.nan, values[n])
+                count = _many(int(marked.sum()), "value")
+                notes.append(f"{sheet.where}: {count} of {n} missing {_why(entry)}")
     if any(require_column(sheet, n).seconds is None for n in names):
         whole = _one_clock(sheet, wanted, values)
     else:
         whole = _merged(sheet, wanted, values)
+    whole = replace(whole, notes=tuple(notes))
     if wanted.experiment is None:
         return [whole]
     labels = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
@@ -105,6 +122,14 @@ def parts(sheet: FileTable, wanted: Wanted) -> list[TablePart]:
         )
         for label in _distinct(labels)
     ]
+
+
+def _why(entry: Missing) -> str:
+    """The reason why values are missing."""
+    if entry.code is not None:
+        return f"by the code {entry.code:g}"
+    low, high = (-np.inf if entry.min is None else entry.min), entry.max
+    return f"outside {low:g} to {np.inf if high is None else high:g}"
 
 
 def units(sheet: FileTable, names: Sequence[str]) -> dict[str, str]:
@@ -120,12 +145,16 @@ def _one_clock(sheet: FileTable, wanted: Wanted, values: Mapping[str, Array]) ->
     u = np.stack([values[n] for n in wanted.inputs], axis=1)
     y = np.stack([values[n] for n in wanted.outputs], axis=1)
     time = time_column(sheet, wanted)
-    timestamps = None if time is None else seconds(sheet, time, wanted)
+    line = None if time is None else read_times(sheet, time, wanted)
+    timestamps = None if line is None else line.seconds
     part = TablePart(
-        sheet.name, u, y, timestamps, sheet.sampling_time, sheet.where, sheet.first_line
-    )
+        sheet.name, u, y, timestamps, sheet.sampling_time, sheet.where, sheet.first_line,
+        time="" if line is None else line.text,
+    )  # fmt: skip
     if timestamps is None or np.isfinite(timestamps).all():
         return part
+    unknown = _many(int((~np.isfinite(timestamps)).sum()), "row")
+    part = replace(part, time=f"{part.time}, {unknown} without a stamp left out")
     return part.rows(np.flatnonzero(np.isfinite(timestamps)))
 
 
@@ -203,6 +232,8 @@ class Intake:
     """Units that the files give, by channel."""
     notes: tuple[str, ...] = ()
     """Findings and changes, in plain words."""
+    readings: tuple[str, ...] = ()
+    """Sampling time of each file, and the evidence for it."""
     inputs: tuple[str, ...] = ()
     """Names of the inputs, with the columns of a matrix in place of its name."""
     outputs: tuple[str, ...] = ()
@@ -233,6 +264,11 @@ def take_in(
     found: list[TablePart] = []
     found_units: dict[str, str] = {}
     asked: Wanted | None = None
+    check_time_unit(wanted.time_unit)
+    for name in (entry.signal for entry in wanted.missing):
+        if name is not None and name not in wanted.names:
+            near = suggestion(name, wanted.names)
+            raise UserError(f"[[data.missing]] names '{name}', which is no signal{near}")
     stems = Counter(path.stem for path in paths)
     for path in paths:
         for sheet in file_format(path).read(path, wanted):
@@ -268,8 +304,31 @@ def take_in(
         before, after = asked.inputs[: asked.time_step], asked.inputs[asked.time_step :]
         asked = replace(asked, inputs=(*before, "time step", *after))
     _check_values(kept, asked, ", ".join(map(str, paths)))
-    made = make_records(kept, use, sampling_time, least)
+    made = _without_rows(make_records(kept, use, sampling_time, least), asked)
     return replace(made, units=found_units, inputs=asked.inputs, outputs=asked.outputs)
+
+
+def _without_rows(found: Intake, wanted: Wanted) -> Intake:
+    """Take out the rows of outputs that `[[data.missing]]` names. Raises UserError for rows of an
+    input."""
+    records, notes = list(found.records), list(found.notes)
+    for entry in wanted.missing:
+        if entry.rows is None:
+            continue
+        if entry.signal in wanted.inputs:
+            raise UserError(
+                f"[[data.missing]] names rows of input '{entry.signal}', and a model needs every "
+                "input: leave the cells empty in the file, which cuts the record there"
+            )
+        first, last = entry.rows
+        columns = [n for n, y in enumerate(wanted.outputs) if entry.signal in (None, y)]
+        for k, record in enumerate(records):
+            if entry.record in (None, record.name):
+                y = record.measured_y.copy()
+                y[max(first - 1, 0) : last, columns] = np.nan
+                records[k] = replace(record, y=y, missing=None)
+                notes.append(f"record '{record.name}': rows {first} to {last} count as missing")
+    return replace(found, records=tuple(records), notes=tuple(notes))
 
 
 def _as_sampled(part: TablePart, place: int) -> TablePart:
@@ -319,7 +378,7 @@ def make_records(
 ) -> Intake:
     """Put channels on one time grid, cut them at gaps, and name the records. ignore: how the user
     can do without the time stamps, for messages. Raises UserError."""
-    notes: list[str] = []
+    notes = list(dict.fromkeys(note for part in found for note in part.notes))
     timed: list[tuple[TablePart, Clock | None]] = []
     for part in found:
         stamps = part.timestamps
@@ -335,6 +394,7 @@ def make_records(
             notes.append(f"{part.where}: time goes back {back}, a new record begins at each")
         timed += [(part.rows(rows), clock(stamps[rows])) for rows in cuts]
     where = ", ".join(dict.fromkeys(part.where for part in found))
+    readings = tuple(_readings([(part, own) for part, own in timed if part.time and own]))
     step = _slowest(timed, where) if sampling_time is None else sampling_time
     grid = _Grid(step, use, ignore, notes)
     made: list[Trajectory] = []
@@ -365,7 +425,19 @@ def make_records(
         )
     names = unique_names([t.name for t in made])
     records = tuple(replace(t, name=n) for t, n in zip(made, names, strict=True))
-    return Intake(records, notes=tuple(notes))
+    return Intake(records, notes=tuple(notes), readings=readings)
+
+
+def _readings(timed: Sequence[tuple[TablePart, Clock]]) -> Iterator[str]:
+    """The sampling time of each file, with its evidence."""
+    counts: Counter[tuple[str, str, str, str]] = Counter()
+    for part, own in timed:
+        kind = "equal steps" if own.regular else "uneven steps"
+        stamps = np.zeros(0) if part.timestamps is None else part.timestamps
+        steps = np.diff(places(stamps, own.step))
+        counts[part.where, f"{own.step:g}", part.time, kind] += int((steps == 1).sum())
+    for (where, step, time, kind), count in counts.items():
+        yield f"{where}: sampled every {step} s: {time}, {count} {kind}"
 
 
 def as_written(sheet: FileTable, wanted: Wanted, sampling_time: float) -> Trajectory:

@@ -19,10 +19,11 @@ from asia.data.intake.sheet import (
     as_objects,
     find_channels,
     find_column,
-    split_unit,
+    header_names,
+    named_table,
 )
 from asia.data.intake.text import Text, number
-from asia.data.intake.time import time_column
+from asia.data.intake.timestamps import may_be_time, time_column
 from asia.errors import UserError
 
 # Libraries that come with an extra.
@@ -103,7 +104,7 @@ def _arrays_in(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Cell
         path = f"{prefix}{key}"
         if isinstance(node, Mapping):
             yield from _arrays_in(node, f"{path}.")
-        elif isinstance(node, np.ndarray) and node.dtype.kind in "fiubMOUS" and node.ndim <= 3:
+        elif isinstance(node, np.ndarray) and node.dtype.kind in "fiubcMOUS" and node.ndim <= 3:
             yield path, np.asarray(node)
         elif isinstance(node, float | int | np.number):
             yield path, np.asarray(node, dtype=np.float64)
@@ -276,15 +277,19 @@ class Arrow(FileFormat):
                 )
         except (OSError, pyarrow.lib.ArrowException) as error:
             raise UserError(f"{path} does not read as Parquet or Arrow: {error}") from None
+        names_of_all: list[str] = schema.names
         kinds: dict[str, str] = {
-            n: _kind(t) for n, t in zip(schema.names, schema.types, strict=True)
+            n: _kind(t)
+            for n, t in zip(names_of_all, schema.types, strict=True)
+            if names_of_all.count(n) == 1
         }
         empty = {n: Column(np.zeros(0, kind)) for n, kind in kinds.items()}
+        twice = {n: ("",) * names_of_all.count(n) for n in names_of_all if n not in kinds}
         names = {find_column(list(empty), n) for n in wanted.names}
-        names |= {n for n in empty if n.casefold() in ("date", "datum")} if wanted.names else set()
+        names |= {n for n in empty if may_be_time(n)} if wanted.names else set()
         names.add(time_column(FileTable(path.stem, empty, where=str(path)), wanted))
         if not wanted.names or not all(find_column(list(empty), n) for n in wanted.names):
-            return (FileTable(path.stem, empty, where=str(path)),)
+            return (FileTable(path.stem, empty, where=str(path), repeated=twice),)
         cells = {n: np.empty(rows, dtype=kinds[n]) for n in empty if n in names}
         done = 0
         for batch in read_batches(columns=list(cells)):
@@ -355,7 +360,7 @@ def _worksheet(
 ) -> FileTable:
     """Make a table of the rows of a worksheet; `first` is the first one with data."""
     width = max(len(row) for row in rows[first:])
-    units = [""] * width
+    units, groups = [""] * width, list[str]()
     if wanted.columns:
         labels = list(wanted.columns)
         if len(labels) != width:
@@ -363,23 +368,17 @@ def _worksheet(
     else:
         heads = [
             ["" if c is None else str(c).strip() for c in (*row, *[None] * width)[:width]]
-            for row in rows[max(first - 2, 0) : first]
+            for row in rows[max(first - 4, 0) : first]
         ]
         if not heads:
             raise UserError(
                 f"{where}: the first row holds numbers: add a header row with the column names, or "
                 "give --columns"
             )
-        hits = [sum(split_unit(c)[0] in wanted.names for c in row) for row in heads]
-        top = 0 if len(heads) == 1 or hits[0] >= max(hits[1], 1) else 1
-        labels = heads[top]
-        units = [u.strip("[]() ") for u in heads[top + 1]] if top + 1 < len(heads) else units
-    units = [u or split_unit(n)[1] for u, n in zip(units, labels, strict=True)]
+        labels, units, groups = header_names(heads, wanted.names)
     cells = zip(*((*row, *[None] * (width - len(row))) for row in rows[first:]), strict=True)
-    columns = {
-        n: Column(as_objects(c), u) for n, u, c in zip(labels, units, cells, strict=True) if n
-    }
-    return FileTable(name, columns, None, where, first + 1)
+    columns = [Column(as_objects(c), u) for u, c in zip(units, cells, strict=True)]
+    return named_table(FileTable(name, {}, None, where, first + 1), labels, columns, groups)
 
 
 # Data loggers: TDMS and MDF4. Channels may have times of their own.
@@ -411,8 +410,12 @@ class Tdms(FileFormat):
         full = [s for s in groups if all(find_column(list(s.columns), n) for n in wanted.names)]
         if len(full) > 1 and wanted.names:
             return tuple(full)
-        every = {n: c for s in groups for n, c in s.columns.items()}
-        return (FileTable(path.stem, full[0].columns if full else every, where=str(path)),)
+        if full:
+            return (FileTable(path.stem, full[0].columns, where=str(path)),)
+        pairs = [(n, c) for s in groups for n, c in s.columns.items()]
+        every = [s.name for s in groups for _ in s.columns]
+        table = FileTable(path.stem, {}, where=str(path))
+        return (named_table(table, [n for n, _ in pairs], [c for _, c in pairs], every),)
 
 
 class Mdf(FileFormat):

@@ -26,6 +26,7 @@ _PARTS = {
     "magnitude": "size", "mag": "size", "gain": "size", "amplitude": "size", "phase": "phase",
     "std": "std", "deviation": "std", "variance": "variance", "var": "variance",
 }  # fmt: skip
+_LEVEL = re.compile(r"^(?P<name>.+?)[ _](?P<unit>dB|db|DB|deg|rad)$")
 _COLUMN = re.compile(r"^(?:(?P<pair>.*?)[ _.])??(?P<part>[A-Za-z]+)$")
 _SAVE = (
     "s = struct('ResponseData', g.ResponseData, 'Frequency', g.Frequency, 'FrequencyUnit', "
@@ -89,6 +90,8 @@ def _of_table(path: Path, table: FileTable) -> FrequencyRecord:
     pairs: dict[str, dict[str, Array]] = {}
     for label, column in table.columns.items():
         name, unit = split_unit(label)
+        ended = _LEVEL.match(name)
+        name, unit = (ended["name"], ended["unit"]) if ended and not unit else (name, unit)
         unit = (column.unit or unit).casefold()
         match = _COLUMN.match(name)
         if name.casefold() in _FREQUENCY:
@@ -98,10 +101,16 @@ def _of_table(path: Path, table: FileTable) -> FrequencyRecord:
         elif match is not None and match["part"].casefold() in _PARTS:
             part = _PARTS[match["part"].casefold()]
             values = to_numbers(column.cells, f"{path}, column '{label}'", table.first_line)
-            if part == "size" and unit == "db":
+            # A magnitude is not negative, a level in dB may be.
+            if part == "size" and (unit == "db" or (values < 0).any()):
+                if unit not in ("", "db"):
+                    raise UserError(
+                        f"{path}, column '{label}': a magnitude is negative: give it in dB, as "
+                        f"{name} [dB], or correct it"
+                    )
                 values = 10.0 ** (values / 20.0)
-            if part == "phase" and unit not in ("rad", "radians"):
-                values = np.radians(values)
+            if part == "phase":
+                values = values if _in_radians(values, unit, path, label) else np.radians(values)
             pairs.setdefault(match["pair"] or "", {})[part] = values
     if frequency is None or not pairs:
         raise UserError(
@@ -135,6 +144,19 @@ def _of_table(path: Path, table: FileTable) -> FrequencyRecord:
         path.stem, frequency, response, known, 0.0,
         tuple(Signal(n) for n in inputs), tuple(Signal(n) for n in outputs),
     )  # fmt: skip
+
+
+def _in_radians(phase: Array, unit: str, path: Path, label: str) -> bool:
+    """Return whether a phase is in radians. Raises UserError where its unit is not known."""
+    if unit in ("rad", "radians"):
+        return True
+    span = float(np.nanmax(np.abs(phase), initial=0.0))
+    if unit or span == 0 or span > 2.0 * math.pi:
+        return False
+    raise UserError(
+        f"{path}, column '{label}': a phase of at most {span:.3g} may be in degrees or in radians: "
+        "write phase [deg] or phase [rad]"
+    )
 
 
 def _ends(pair: str, count: int) -> tuple[str, str]:

@@ -2,8 +2,9 @@
 
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -43,6 +44,45 @@ class FileTable:
     """The file, and the part of it, for messages."""
     first_line: int = 1
     """Line or row number of the first sample, for messages."""
+    repeated: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    """Names that several columns share, which are left out, with the names by which each can be
+    had: those of groups of columns above them."""
+
+    def repeated_text(self, name: str) -> str:
+        """The sentence that refuses a shared name."""
+        names = self.repeated[name]
+        others = ", ".join(f"'{n}'" for n in names if n)
+        return f"{len(names)} columns are named '{name}', " + (
+            f"name one of {others}" if others else "rename all but one"
+        )
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Samples that count as not measured: an entry of `[[data.missing]]`."""
+
+    signal: str | None = None
+    """Input or output; None for every one."""
+    code: float | None = None
+    """Value that marks a missing one."""
+    min: float | None = None
+    """Least value that the signal can have; likewise `max`."""
+    max: float | None = None
+    record: str | None = None
+    """Record of `rows`, as `asia check` names it; None for every one."""
+    rows: tuple[int, int] | None = None
+    """First and last row of the record, 1-based."""
+
+    def marks(self, values: Array) -> NDArray[np.bool_]:
+        """Return where values are missing by the code and the range."""
+        found = np.zeros(values.shape, np.bool_)
+        if self.code is not None:
+            found |= np.isclose(values, self.code, rtol=1e-9, atol=0.0)
+        if self.min is not None:
+            found |= values < self.min
+        if self.max is not None:
+            found |= values > self.max
+        return found
 
 
 @dataclass(frozen=True)
@@ -59,6 +99,8 @@ class Wanted:
     """Column whose value names the experiment of a row."""
     columns: tuple[str, ...] = ()
     """Names of the columns of a file without a header."""
+    missing: tuple[Missing, ...] = ()
+    """Samples that count as not measured."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
     """Callback for the progress of a long read, in words."""
     time_step: int | None = None
@@ -125,6 +167,8 @@ def require_column(sheet: FileTable, name: str) -> Column:
     """Return the column of this name. Raises UserError naming the existing columns, when it is
     missing."""
     found = find_column(list(sheet.columns), name)
+    if found is None and name in sheet.repeated:
+        raise UserError(f"{sheet.where}: {sheet.repeated_text(name)}")
     if found is None:
         known = [c for c in sheet.columns if c]
         shown = ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
@@ -133,6 +177,64 @@ def require_column(sheet: FileTable, name: str) -> Column:
             f"{suggestion(name, known)}"
         )
     return sheet.columns[found]
+
+
+def named_table(
+    table: FileTable, labels: Sequence[str], columns: Sequence[Column], groups: Sequence[str] = ()
+) -> FileTable:
+    """The table with its columns by their names. Columns that share a name are known by the group
+    above them and the name, where that is unique, and are left out otherwise.
+
+    Args:
+        groups: cells of the row above the names; an empty one continues the group to its left
+    """
+    count = Counter(labels)
+    above: list[str] = []
+    for group in groups or [""] * len(labels):
+        above.append(group or (above[-1] if above else ""))
+    joined = [
+        f"{group} {label}" if count[label] > 1 and group else label
+        for label, group in zip(labels, above, strict=True)
+    ]
+    unique = Counter(joined)
+    found = {n: c for n, c in zip(joined, columns, strict=True) if n and unique[n] == 1}
+    repeated = {
+        label: tuple(
+            n if n in found else "" for n, own in zip(joined, labels, strict=True) if own == label
+        )
+        for label in labels
+        if label and count[label] > 1 and label not in found
+    }
+    return replace(table, columns=found, repeated=repeated)
+
+
+def header_names(
+    heads: Sequence[Sequence[str]], wanted: Sequence[str]
+) -> tuple[list[str], list[str], list[str]]:
+    """Names, units and groups of the columns.
+
+    Args:
+        heads: the rows above the data, the lowest last, at least one
+        wanted: names that one of the rows has
+    """
+    hits = [sum(split_unit(c)[0] in wanted or c in wanted for c in row) for row in heads]
+    # Without a name to go by, the names are in the row over the units.
+    top = hits.index(max(hits)) if any(hits) else _likely_names(heads)
+    labels = list(heads[top])
+    under = heads[-1] if top < len(heads) - 1 else [""] * len(labels)
+    units = [u.strip("[]() ") or split_unit(n)[1] for n, u in zip(labels, under, strict=True)]
+    return labels, units, list(heads[top - 1]) if top else []
+
+
+def _likely_names(heads: Sequence[Sequence[str]]) -> int:
+    """The row of names: the last one where its cells are different and those above are groups, else
+    the one over the units."""
+    if len(heads) < 2:
+        return 0
+    above = [cell for cell in heads[-2] if cell]
+    return (
+        len(heads) - 1 if len(above) < len([cell for cell in heads[-1] if cell]) else len(heads) - 2
+    )
 
 
 def as_objects(values: Sequence[object]) -> Cells:

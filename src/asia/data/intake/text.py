@@ -21,6 +21,8 @@ from asia.data.intake.sheet import (
     FileTable,
     Wanted,
     as_objects,
+    header_names,
+    named_table,
     split_unit,
 )
 from asia.data.trajectory import Array
@@ -107,7 +109,7 @@ def number(cell: object) -> float | None:
 _SAMPLE = 400
 _BLOCK = 2**20
 _COMMENTS = ("#", "%", "//", "!")
-_WITH_UNIT = re.compile(r"^[-+−]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(?P<unit>[^\d\s.,:/+-]\S{0,9})$")
+_WITH_UNIT = re.compile(r"^[-+−]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(?P<unit>[^\d\s.,:/+-]\S{0,15})$")
 _STAMP = re.compile(r"^[\dT:.,+\-/ Zampm]*\d[:/\-.]\d[\dT:.,+\-/ Zampm]*$", re.IGNORECASE)
 
 
@@ -148,7 +150,7 @@ class Text(FileFormat):
         if sum(bool(line.strip()) and not _is_comment(line) for line in lines) < _SAMPLE:
             lines = text.split("\n")
         layout = _layout(path, lines, wanted)
-        names, units = _names(path, layout, wanted)
+        names, units, groups = _names(path, layout, wanted)
         # Labels of experiments are kept as they are written, such as 01.
         numbers = None if wanted.experiment else _numbers(text, lines, layout)
         if numbers is None:
@@ -156,8 +158,8 @@ class Text(FileFormat):
             found = [_column(c, unit) for c, unit in zip(cells, units, strict=True)]
         else:
             found = [Column(c, unit) for c, unit in zip(numbers.T, units, strict=True)]
-        columns = {name: column for name, column in zip(names, found, strict=True) if name}
-        return FileTable(path.stem, columns, None, str(path), layout.first + 1)
+        table = FileTable(path.stem, {}, None, str(path), layout.first + 1)
+        return named_table(table, names, found, groups)
 
 
 def _numbers(text: str, lines: Sequence[str], layout: _Layout) -> Array | None:
@@ -175,6 +177,9 @@ def _numbers(text: str, lines: Sequence[str], layout: _Layout) -> Array | None:
     except ValueError:
         return None
     if not blocks or any(block.shape[1] != layout.cells for block in blocks):
+        return None
+    # Whole numbers beyond double precision, such as stamps in ns, are kept as texts.
+    if any(np.nanmax(np.abs(block), initial=0.0) >= 2.0**53 for block in blocks):
         return None
     return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
@@ -327,7 +332,8 @@ def _heads(
     return tuple(found)
 
 
-def _names(path: Path, layout: _Layout, wanted: Wanted) -> tuple[list[str], list[str]]:
+def _names(path: Path, layout: _Layout, wanted: Wanted) -> tuple[list[str], list[str], list[str]]:
+    """Names, units and groups of the columns."""
     heads = layout.heads
     if wanted.columns:
         if len(wanted.columns) != layout.cells:
@@ -335,7 +341,7 @@ def _names(path: Path, layout: _Layout, wanted: Wanted) -> tuple[list[str], list
                 f"{path} has {layout.cells} columns, but --columns names {len(wanted.columns)}: "
                 "name every column, in the order of the file"
             )
-        return list(wanted.columns), [""] * layout.cells
+        return list(wanted.columns), [""] * layout.cells, []
     if not heads and layout.above:
         raise UserError(
             f"{path}: the header has {layout.above} cells, the rows below it {layout.cells} cells "
@@ -346,17 +352,7 @@ def _names(path: Path, layout: _Layout, wanted: Wanted) -> tuple[list[str], list
             f"{path}: the first row holds numbers: add a header row with the column names, or "
             "give --columns"
         )
-    wished = set(wanted.names)
-    hits = [sum(split_unit(c)[0] in wished or c in wished for c in row) for row in heads]
-    # Without a name to go by, the names are in the row over the units.
-    top = hits.index(max(hits)) if any(hits) else max(0, len(heads) - 2)
-    labels = list(heads[top])
-    under = heads[-1] if top < len(heads) - 1 else ("",) * layout.cells
-    units = [u.strip("[]() ") or split_unit(n)[1] for n, u in zip(labels, under, strict=True)]
-    for name, count in Counter(label for label in labels if label).items():
-        if count > 1 and name in wished:
-            raise UserError(f"{path}: {count} columns are named '{name}', rename all but one")
-    return labels, units
+    return header_names(heads, wanted.names)
 
 
 def _rows(path: Path, lines: Sequence[str], layout: _Layout) -> list[list[str]]:

@@ -59,7 +59,7 @@ def data_source(table: DataTable, root: Path) -> Source:
     if table.reading != Wanted((), ()) or table.test_experiments:
         raise UserError(
             "[data] has a source and options for reading files (time, time_unit, columns, "
-            "experiment_column, test_experiments): leave these out"
+            "missing, experiment_column, test_experiments): leave these out"
         )
     return source_class(table.source).from_table(table, root)
 

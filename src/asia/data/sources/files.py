@@ -1,7 +1,7 @@
 """Records in files, of every format that ASIA reads."""
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -31,6 +31,8 @@ class RecordFiles(Source):
     reading: Wanted = field(default_factory=lambda: Wanted((), ()))
     test_experiments: tuple[str, ...] = ()
     """Experiments in the training files that are the test."""
+    readings: tuple[str, ...] = field(default=(), compare=False)
+    """Findings in the files that these were made from."""
 
     test_kept: ClassVar[str] = (
         "in plain files; isolation alone keeps candidates off them, and asia init --seal "
@@ -58,7 +60,10 @@ class RecordFiles(Source):
                 owners = [name for name, paths in lists.items() if path in paths]
                 what = f"both {' and '.join(owners)}" if len(owners) > 1 else "one list twice"
                 raise UserError(f"[data] names {path} in {what}: name every record once")
-        return cls(**lists, reading=table.reading, test_experiments=table.test_experiments)
+        return cls(
+            **lists, reading=table.reading, test_experiments=table.test_experiments,
+            readings=table.readings,
+        )  # fmt: skip
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
         if subset == "train":
@@ -79,12 +84,15 @@ class RecordFiles(Source):
         return SourceData(
             tuple(replace(r, name=n) for r, n in zip(records, names, strict=True)),
             warnings=tuple(note for one in found for note in one.notes),
+            readings=(*self.readings, *(text for one in found for text in one.readings)),
         )
 
     def records_of(self, path: Path, channels: Channels, reading: Wanted | None = None) -> Intake:
         """The records of another file, which are to be judged as a test. reading: options in place
         of the problem's own. Raises UserError."""
-        own = self if reading is None else replace(self, reading=reading)
+        own = self
+        if reading is not None:
+            own = replace(self, reading=replace(reading, missing=self.reading.missing))
         return own._take((path,), channels, "test")
 
     def _take(self, paths: tuple[Path, ...], channels: Channels, use: Use, **chosen: Any) -> Intake:
@@ -114,6 +122,8 @@ class RecordFiles(Source):
             "time": reading.time,
             "time_unit": reading.time_unit,
             "columns": list(reading.columns) or None,
+            "missing": [asdict(entry) for entry in reading.missing] or None,
+            "readings": list(self.readings) or None,
             "experiment_column": reading.experiment,
             "test_experiments": list(self.test_experiments) or None,
         }

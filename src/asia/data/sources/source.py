@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field
 
 from asia._text import suggestion
-from asia.data.intake.sheet import Wanted
+from asia.data.intake.sheet import Missing, Wanted
 from asia.data.trajectory import Array, Signal, Trajectory, check_magnitudes, check_ranges
 from asia.errors import UserError
 
@@ -50,6 +50,8 @@ class SourceData:
     truth: tuple[Array, ...] | None = None
     """Noise-free outputs (T, ny) of each record; for simulated systems only."""
     warnings: tuple[str, ...] = ()
+    readings: tuple[str, ...] = ()
+    """How the files were read: sampling time, and the evidence for it."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,10 @@ class DataTable:
     """Unit of time stamps that are numbers, such as ms."""
     columns: tuple[str, ...] = ()
     """Column names of files without a header."""
+    missing: tuple[Missing, ...] = ()
+    """Samples of the files that count as not measured."""
+    readings: tuple[str, ...] = ()
+    """Findings of `asia init` in the files that these were made from."""
     experiment_column: str | None = None
     """Column of the files that names the experiment of a row."""
     test_experiments: tuple[str, ...] = ()
@@ -118,7 +124,9 @@ class DataTable:
     @property
     def reading(self) -> Wanted:
         """Options of reading files."""
-        return Wanted((), (), self.time, self.time_unit, self.experiment_column, self.columns)
+        return Wanted(
+            (), (), self.time, self.time_unit, self.experiment_column, self.columns, self.missing
+        )
 
 
 class Source(ABC):

@@ -204,7 +204,15 @@ _SILENT_SECONDS = 2.0
 BRIEF_HELP = frozenset(
     {"name", "train", "test", "inputs", "outputs", "sampling_time", "seal", "time", "yes"}
 )
-LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns", "--test-experiments")
+LISTS = (
+    "--train",
+    "--test",
+    "--inputs",
+    "--outputs",
+    "--columns",
+    "--test-experiments",
+    "--missing-code",
+)
 
 
 def init(
@@ -236,6 +244,10 @@ def init(
     time_unit: TimeUnit = None,
     columns: ColumnNames = None,
     experiment_column: Experiment = None,
+    missing_code: Annotated[
+        list[float] | None,
+        typer.Option(help="Values that mark missing samples, such as 999.9. [[data.missing]]"),
+    ] = None,
     test_experiments: Annotated[
         list[str] | None,
         typer.Option(help="Names of the experiments in the training files that are the test."),
@@ -312,7 +324,7 @@ def init(
             candidate_level(isolation),
         )
         return
-    from asia.data.intake.sheet import Wanted
+    from asia.data.intake.sheet import Missing, Wanted
     from asia.data.store import key_folder
     from asia.problem.create import Preparation, init_problem
 
@@ -326,7 +338,8 @@ def init(
             say(text, file=sys.stderr)
 
     named = tuple(split_at_commas(columns or ()))
-    wanted = Wanted((), (), time, time_unit, experiment_column, named, progress)
+    missing = tuple(Missing(code=code) for code in missing_code or ())
+    wanted = Wanted((), (), time, time_unit, experiment_column, named, missing, progress)
     if sampling_time is not None and not 0 < sampling_time < inf:
         raise UserError(
             f"--sampling-time is {sampling_time:g}: expected a number of seconds above 0"
@@ -362,6 +375,8 @@ def init(
     )
     for text in made.read:
         say(f"read     {text}")
+    for one in made.bad:
+        say(f"doubt    {one}")
     say(f"wrote    {made.path}")
     if answers.references:
         say(

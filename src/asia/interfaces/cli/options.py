@@ -430,7 +430,11 @@ Time = Annotated[
     str | None, typer.Option(help='Column with the time stamps; "none": do not use any.')
 ]
 TimeUnit = Annotated[
-    str | None, typer.Option(help="Unit of time stamps that are numbers: s, ms, us, ns, days.")
+    str | None,
+    typer.Option(
+        help="Unit of time stamps that are numbers: s, ms, us, ns, min, h, d; of others their "
+        "form: day-first, month-first, h:m, m:s."
+    ),
 ]
 ColumnNames = Annotated[
     list[str] | None, typer.Option(help="Column names of files without a header, in order.")

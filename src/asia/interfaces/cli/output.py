@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from statistics import fmean
 from typing import Any
 
@@ -14,8 +15,9 @@ from asia._text import folded, printable
 from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
-from asia.ledger.run import alarms, model_to_use, unguarded, usability
+from asia.ledger.run import model_to_use
 from asia.ledger.text import error_value, seed_mean_words, stack_words, validation_score_words
+from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment, SearchView
 from asia.search.steering import FoldLosses
 
@@ -169,6 +171,12 @@ def again_words(view: SearchView) -> str:
     if again.ratio is not None:
         found = f"has {again.ratio:.4g} times the error of the first"
     return f"a second fit of fold {again.fold} {found}: V varies over repeated fits"
+
+
+def verdict_object(view: SearchView) -> dict[str, Any] | None:
+    """Return the verdict of a finished search for scripts."""
+    found = usability(view) if view.refitted is not None else None
+    return None if found is None else asdict(found)
 
 
 def verdict_lines(view: SearchView) -> list[str]:

@@ -52,6 +52,7 @@ from asia.interfaces.cli.output import (
     validation_words,
     value_words,
     verdict_lines,
+    verdict_object,
 )
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import (
@@ -66,7 +67,7 @@ from asia.ledger.events import (
     Refitted,
 )
 from asia.ledger.evidence import identified, incumbent_threshold
-from asia.ledger.run import alarms, control, open_run, unguarded
+from asia.ledger.run import control, open_run
 from asia.ledger.text import (
     control_text,
     error_value,
@@ -76,6 +77,7 @@ from asia.ledger.text import (
     seed_mean_words,
     threshold_text,
 )
+from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric
 
@@ -401,6 +403,7 @@ class JsonDisplay:
             validation_scores=view.validation_scores,
             pictures=[str(p) for p in pictures],
             failed_checks=[*view.failed_checks, *failed],
+            verdict=verdict_object(view),
         )
 
     def profile(self, events: Sequence[Event], unrecorded: Sequence[TimeSpent]) -> None:

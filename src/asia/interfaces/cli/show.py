@@ -11,7 +11,14 @@ from rich.text import Text
 from asia._text import hand_over, printable, printable_line, say
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs, run_directory
-from asia.interfaces.cli.output import Terminal, again_words, print_alarms, use_lines, verdict_lines
+from asia.interfaces.cli.output import (
+    Terminal,
+    again_words,
+    print_alarms,
+    use_lines,
+    verdict_lines,
+    verdict_object,
+)
 from asia.interfaces.cli.validate import confirmation_lines
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.ledger.evidence import evidence_of, identified, settings_of_run
@@ -112,6 +119,7 @@ def _experiment_object(run: Run, experiment: Experiment) -> dict[str, object]:
     return {
         "run": run.name,
         "experiment": experiment.number,
+        "verdict": verdict_object(run.view) if run.view.best is experiment else None,
         "title": proposed.title,
         "family": proposed.family,
         "phase": proposed.phase,

@@ -24,12 +24,13 @@ from asia.interfaces.cli.output import (
     validation_words,
     value_words,
     verdict_lines,
+    verdict_object,
 )
 from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import cancelled_folds, incumbent_threshold, pruned_folds
 from asia.ledger.looks import seal_words
-from asia.ledger.run import alarms, control, error_of, metric_of, model_to_use, open_run, usability
+from asia.ledger.run import control, error_of, metric_of, model_to_use, open_run
 from asia.ledger.text import (
     control_text,
     hand_over_text,
@@ -37,6 +38,7 @@ from asia.ledger.text import (
     threshold_text,
     validation_summary,
 )
+from asia.ledger.verdict import alarms
 from asia.problem.metrics import metric_label
 from asia.search.steering import running_losses
 
@@ -67,7 +69,7 @@ def status(
 def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
     view, start, best = found.view, found.view.started, found.view.best
     compared = control(directory, start, found.finished)
-    named, judged = model_to_use(view), usability(view) if view.refitted else None
+    named = model_to_use(view)
     return {
         "run": start.run,
         "problem": start.problem,
@@ -102,7 +104,7 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "alarms": list(alarms(view)),
         "seal": seal_words(directory, view),
         "threshold": incumbent_threshold(view),
-        "verdict": None if judged is None else asdict(judged),
+        "verdict": verdict_object(view),
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
         "confirmed": None if view.confirmed is None else asdict(view.confirmed),

@@ -16,7 +16,8 @@ from asia.interfaces.cli.output import print_alarms, use_lines, validation_words
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.looks import later_words
-from asia.ledger.run import Run, alarms, model_to_use, open_run, tested_model
+from asia.ledger.run import Run, model_to_use, open_run, tested_model
+from asia.ledger.verdict import alarms
 from asia.ledger.view import SearchView
 from asia.problem.metrics import metric_label
 

@@ -17,7 +17,7 @@ from asia._timer import duration
 from asia.errors import UserError
 from asia.interfaces.cli.init import split_at_commas
 from asia.interfaces.cli.options import ColumnNames, Experiment, RunName, RunOptions, Time, TimeUnit
-from asia.interfaces.cli.output import value_words
+from asia.interfaces.cli.output import value_words, verdict_lines, verdict_object
 from asia.judge.scoring.outcome import Score
 from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.events import (
@@ -132,6 +132,7 @@ def validate(
             say(jsonlib.dumps({**line, "cause": one.cause}, allow_nan=False))
         end = {name: getattr(found, name) for name in ("run", "experiment", "model", "record")}
         end |= {"recorded": found.recorded, "summary": found.summary}
+        end["verdict"] = verdict_object(open_run(directory).view)
         say(jsonlib.dumps(end, allow_nan=False))
         return
     for one in found.checks:
@@ -147,6 +148,8 @@ def validate(
         )
     say(f"checked: {what}; the sealed test was not used")
     say(found.summary)
+    for line in verdict_lines(open_run(directory).view):
+        say(line)
 
 
 # Repeated fits of the best candidates (--repeat).

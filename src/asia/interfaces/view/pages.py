@@ -24,8 +24,8 @@ from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.run import alarms, unguarded
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
+from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
 from asia.report.page.html import Html, fixed, join, region, said, section, table, tag

@@ -110,6 +110,86 @@ def output_bands(
     return Bands(lower, upper)
 
 
+KNOWN_WITHIN = 0.05
+"""Largest standard error of the share that bands hold of a fold which did not make them. Above it
+nobody knows what a band holds."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Check of bands on folds that did not make them."""
+
+    level: float
+    factor: Array
+    """(ny,), 1 or more: bands made without a fold hold `level` of it when they are so much wider,
+    over all folds."""
+    held: Array
+    """(K, ny): the share that the widened bands made without a fold hold of it."""
+    error: Array
+    """(ny,): standard error of the mean over the folds of that share: by their scatter, or by the
+    number of independent errors."""
+
+    @property
+    def withdrawn(self) -> tuple[str, ...]:
+        """The reason why there is no band, one an output; "" where there is one."""
+        reasons: list[str] = []
+        for held, error in zip(self.held.T, self.error.tolist(), strict=True):
+            few = "a single fold cannot check a band: use two or more"
+            part = (
+                f"bands made without a fold hold {100 * held.min():.0f} to "
+                f"{100 * held.max():.0f} % of it in place of {100 * self.level:g} %: the errors "
+                "are too few, or not alike in all parts of the records"
+            )
+            reasons.append(few if len(held) < 2 else part if error > KNOWN_WITHIN else "")
+        return tuple(reasons)
+
+
+def calibrate(
+    folds: Sequence[HeldOutErrors], level: float, *, by_step: bool = False
+) -> Calibration:
+    """Check bands of the level on each fold with those of the other folds, and widen them until
+    they hold the level over all folds (jackknife over folds, which keeps correlated errors
+    together).
+
+    Args:
+        by_step: as in `error_sizes`
+    """
+    ny = folds[0].blocks[0].shape[1]
+    if len(folds) < 2:
+        return Calibration(level, np.ones(ny), np.full((1, ny), np.nan), np.full(ny, np.inf))
+    ratios: list[Array] = []
+    for k, fold in enumerate(folds):
+        sizes = error_sizes([*folds[:k], *folds[k + 1 :]], by_step=by_step)
+        edges = np.stack([
+            [_quantile(np.concatenate(own), raised_level(level, sizes.independent[channel]))
+             for own in steps]
+            for channel, steps in enumerate(sizes.parts)
+        ], axis=1)  # fmt: skip
+        edges = np.maximum(edges, np.finfo(np.float64).tiny)
+        parts = [
+            np.abs(block) / edges[np.minimum(np.arange(len(block)), len(edges) - 1)]
+            for block in fold.blocks
+        ]
+        ratios.append(np.concatenate(parts))
+    factor = np.array([_quantile(r, level) for r in np.concatenate(ratios).T])
+    factor = np.maximum(factor, 1.0)
+    # An unmeasured output, NaN, is not inside and does not count.
+    inside = [(np.abs(r) <= factor).sum(axis=0) for r in ratios]
+    measured = [(~np.isnan(r)).sum(axis=0) for r in ratios]
+    held = np.array(inside) / np.maximum(measured, 1)
+    # Of all folds together: at most so many errors are independent.
+    worth = np.array(error_sizes(folds, by_step=by_step).independent)
+    scatter = held.std(axis=0, ddof=1) / np.sqrt(len(folds))
+    error = np.maximum(scatter, np.sqrt(level * (1.0 - level) / np.maximum(worth, 1.0)))
+    return Calibration(level, factor, held, error)
+
+
+def _quantile(values: Array, level: float) -> float:
+    """The value that a share `level` of the known ones does not exceed; 0 where none is known."""
+    known = np.sort(values[~np.isnan(values)])
+    return float(known[max(0, int(np.ceil(level * len(known) - 1e-9)) - 1)]) if len(known) else 0.0
+
+
 def independent_errors(folds: Sequence[Sequence[Array]]) -> float:
     """Return the equivalent number of independent held-out errors.
 

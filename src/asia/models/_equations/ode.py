@@ -110,7 +110,7 @@ class Equations:
     def rates(self, xp: Any, dtype: Any = np.float64) -> Evaluator:
         """Return the function that gives d/dt of the states, for arrays of xp, numpy or
         jax.numpy."""
-        return _evaluator(self, "dynamics", xp.__name__, np.dtype(dtype))
+        return _evaluator(self, "dynamics", xp, np.dtype(dtype))
 
     def observe(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
         """Outputs (ny, ...), from parameters (np, ...), states x (nx, ...) and inputs u (nu,

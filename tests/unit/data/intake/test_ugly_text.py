@@ -118,7 +118,7 @@ def test_texts_of_historians_are_missing_values(tmp_path: Path) -> None:
 
 
 def test_seconds_of_a_fast_clock_are_not_taken_for_days(tmp_path: Path) -> None:
-    for step in (1e-3, 1 / 60, 0.5, 0.0025):
+    for step in (1e-3, 1 / 60, 0.0025):
         rows = [
             f"{45000 + k * step:.6f},{u},{y}" for k, (u, y) in enumerate(zip(U, Y, strict=True))
         ]

@@ -16,6 +16,7 @@ from asia.data import Array, Signal
 from asia.data.arrays import read_arrays
 from asia.data.intake.conversion import Intake, Use
 from asia.errors import UserError
+from asia.ledger.verdict import usability
 from asia.search.simulation import BandedSimulation
 from tests.unit.interfaces.cli.conftest import command_line
 
@@ -166,6 +167,10 @@ def test_parameters_are_a_data_frame_where_pandas_is_installed(
     assert isinstance(plain, tuple)
     assert [one.fitted.name for one in plain] == list(frame.index)
     assert [one.fitted.value for one in plain] == frame["value"].tolist()
+    assert plain
+    ends = [one.interval or (np.nan, np.nan) for one in plain]
+    np.testing.assert_array_equal(frame[["low", "high"]].to_numpy(), np.array(ends))
+    assert fitted.verdict_ == usability(asia.open_run(fitted.run_.directory).view)
 
 
 def read(

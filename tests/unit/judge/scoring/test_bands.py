@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from asia.judge.scoring.bands import (
     HeldOutErrors,
+    calibrate,
     error_sizes,
     independent_errors,
     output_bands,
@@ -156,3 +157,40 @@ def test_a_window_without_a_past_changes_as_usual() -> None:
     starts = range(100, 1900, 50)
     shares = [np.mean(region.distance(u[:0], u[s : s + 50], y[s : s + 50]) > 1.0) for s in starts]
     assert np.mean(shares) < 0.1
+
+
+def folds_of(scales: tuple[float, ...], samples: int = 400) -> list[HeldOutErrors]:
+    rng = np.random.default_rng(1)
+    return [HeldOutErrors((scale * rng.normal(size=(samples, 1)),)) for scale in scales]
+
+
+def test_bands_of_equal_folds_stay_as_they_are() -> None:
+    found = calibrate(folds_of((1.0, 1.0, 1.0)), 0.9)
+    assert found.factor[0] == pytest.approx(1.0, abs=0.05)
+    assert found.held.mean() == pytest.approx(0.9, abs=0.02)
+    assert found.withdrawn == ("",)
+
+
+def test_bands_are_widened_where_the_folds_differ_a_little() -> None:
+    found = calibrate(folds_of((1.0, 1.1, 1.35)), 0.9)
+    assert found.factor[0] > 1.01
+    assert found.held.mean() == pytest.approx(0.9, abs=0.02)
+    assert found.withdrawn == ("",)
+
+
+@pytest.mark.parametrize(
+    ("folds", "reason"),
+    [
+        (folds_of((1.0, 1.0, 4.0)), "are too few, or not alike in all parts"),
+        (folds_of((1.0, 1.0, 1.0), samples=8), "are too few, or not alike in all parts"),
+        (folds_of((1.0,)), "a single fold cannot check a band"),
+    ],
+)
+def test_bands_that_nobody_can_check_are_withdrawn(folds: list[HeldOutErrors], reason: str) -> None:
+    assert reason in calibrate(folds, 0.9).withdrawn[0]
+
+
+def test_the_check_of_bands_does_not_depend_on_units() -> None:
+    folds = folds_of((1.0, 1.1, 1.35))
+    small = [HeldOutErrors(tuple(1e-9 * block for block in fold.blocks)) for fold in folds]
+    np.testing.assert_allclose(calibrate(small, 0.9).factor, calibrate(folds, 0.9).factor)

@@ -5,6 +5,9 @@ from enum import StrEnum
 
 from asia.data.trajectory import Array
 
+ALARM_RATE = 0.01
+"""Probability of an alarm where nothing is wrong, for one check with all its tests."""
+
 
 class Verdict(StrEnum):
     """Verdict of a check."""

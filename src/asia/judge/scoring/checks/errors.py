@@ -7,8 +7,13 @@ from scipy.signal import lfilter
 
 from asia.data.trajectory import Array
 from asia.judge.scoring.bands import Region
-from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.validation_data import SimulatedBlocks, listed, percent
+from asia.judge.scoring.checks.check import ALARM_RATE, Cause, Check, CheckCurve, Verdict
+from asia.judge.scoring.checks.validation_data import (
+    SimulatedBlocks,
+    ValidationData,
+    listed,
+    percent,
+)
 
 # Errors some steps after a start from measured samples, against holding the last output.
 
@@ -157,20 +162,36 @@ def _corrected(found: SimulatedBlocks) -> float | None:
 # Check of the coverage of the output bands.
 
 
-# How far the share may be below the level: on records of the same kind it hardly ever is.
-_BANDED_DOUBT, _BANDED_FAIL = 0.1, 0.4
 _MOST_NAMED = 3
 
 
-def check_bands(held: Array, outputs: Sequence[str], level: float) -> Check:
-    """held: of each output (ny,), the share of the measured samples within the bands."""
+def check_bands(
+    held: Array, independent: Array, outputs: Sequence[str], level: float, withdrawn: Sequence[str]
+) -> Check:
+    """Check the share of the samples that bands hold which these samples did not make.
+
+    Bands that hold their level hold less of few independent samples by chance: the binomial
+    distribution, for as many outputs as there are (Bonferroni).
+
+    Args:
+        held: of each output (ny,), the share of the measured samples within the bands
+        independent: number of independent errors of each output (ny,)
+        withdrawn: the reason why there is no band, one an output; "" where there is one
+    """
+    from scipy.stats import binom  # only where statistics are asked for
+
+    for name, reason in zip(outputs, withdrawn, strict=True):
+        if reason:
+            sentence = f"the output bands of {name} are withdrawn: {reason}"
+            return Check("output bands", Verdict.FAIL, sentence, weight=1.0 - level)
     each = sorted(zip(held.tolist(), outputs, strict=True))
     words = ", ".join(f"{name} {percent(share)}" for share, name in each[:_MOST_NAMED])
     rest = " at least" if len(each) > _MOST_NAMED else ""
     sentence = f"{percent(level)} output bands contained{rest}: {words}"
-    short = level - each[0][0]
-    verdict = _verdict(short, _BANDED_DOUBT, _BANDED_FAIL)
-    return Check("output bands", verdict, sentence, weight=max(0.0, short))
+    count = np.maximum(np.round(independent), 1.0)
+    chance = np.asarray(binom.cdf(np.round(held * count), count, level))
+    verdict = Verdict.FAIL if chance.min() < ALARM_RATE / len(outputs) else Verdict.PASS
+    return Check("output bands", verdict, sentence, weight=max(0.0, level - each[0][0]))
 
 
 def no_bands(reason: str) -> Check:
@@ -204,3 +225,37 @@ def _verdict(value: float, doubt: float, fail: float) -> Verdict:
     if value > fail:
         return Verdict.FAIL
     return Verdict.DOUBT if value > doubt else Verdict.PASS
+
+
+# The sample that carries most of the error.
+
+
+_ALONE = 0.2
+"""Share of the squared error that one sample of many may carry."""
+
+
+def check_largest_error(data: ValidationData) -> Check:
+    """Name the sample with the largest error by record, row and time, with its share of the squared
+    error of all outputs."""
+    found = data.simulations
+    errors = [((b.y - b.y_hat) / found.deviation) ** 2 for b in found.blocks]
+    total = float(sum(np.nansum(e) for e in errors))
+    if not total > 0 or not np.isfinite(total):
+        return Check("largest error", Verdict.ABSENT, "does not apply: there is no error")
+    k = int(np.argmax([np.nanmax(e, initial=0.0) for e in errors]))
+    block, error = found.blocks[k], np.nan_to_num(errors[k])
+    row, output = (int(i) for i in np.unravel_index(int(np.argmax(error)), error.shape))
+    share = float(error[row, output]) / total
+    number = block.start + row
+    name = found.records[block.record] if block.record < len(found.records) else block.record + 1
+    sentence = (
+        f"row {number + 1} of record '{name}' ({number * found.sampling_time:g} s) carries "
+        f"{percent(share)} of the squared error, at output {found.outputs[output]}: measured "
+        f"{block.y[row, output]:.4g}, simulated {block.y_hat[row, output]:.4g}"
+    )
+    many = sum(e.size for e in errors) >= 100
+    if not many or share < _ALONE:
+        return Check("largest error", Verdict.SHOWN, sentence)
+    return Check(
+        "largest error", Verdict.DOUBT, f"{sentence}; look at this sample first", None, share
+    )

@@ -47,6 +47,8 @@ class SimulatedBlocks:
     outputs: tuple[str, ...]
     sampling_time: float
     """s."""
+    records: tuple[str, ...] = ()
+    """Names of the records by their number."""
 
     @property
     def deviation(self) -> Array:

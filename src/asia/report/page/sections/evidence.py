@@ -220,7 +220,7 @@ def _write_identified(subject: Subject) -> Html | None:
         kept = [k for k in range(len(head)) if k in (0, 1) or any(row[k] for row in rows)]
         head, rows = [head[k] for k in kept], [[row[k] for k in kept] for row in rows]
         own = "" if found.library else ", as the candidate's own code reports them"
-        parts.append(table(head, rows, f"Parameters, fitted to all training records{own}"))
+        parts.append(table(head, rows, f"Parameters, {found.source}{own}"))
         parts += [tag("p", tag("b", said(line), ".")) for line in interval_lines(found)]
         text = (
             ". It is the widest of three intervals: from the noise, from the spread of the fold "

@@ -10,7 +10,8 @@ from asia.judge.evaluation.references import CONTROLLERS
 from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
-from asia.ledger.run import alarms, model_to_use, tested_model, unguarded, usability
+from asia.ledger.run import model_to_use, tested_model
+from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
@@ -53,15 +54,19 @@ def _false_scores(subject: Subject) -> Iterator[str]:
         yield "V is below that of the simulated truth, so the candidate contains held-out data."
 
 
+_COLOURS = {
+    "usable": "good", "not validated": "shown", "doubtful": "doubt", "not usable": "none",
+}  # fmt: skip
+
+
 def stamp(subject: Subject) -> tuple[str, str]:
     """Return the verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
     view = subject.view
     if view.best is None:
         return "No model", "none"
     judged = usability(view)
-    if judged is not None and judged.kind != "usable":
-        return judged.kind.capitalize(), "none" if judged.kind == "not usable" else "doubt"
-    return ("Usable", "good") if view.validated else ("Usable, not validated", "shown")
+    kind = "not usable" if judged is None else judged.kind
+    return kind.capitalize(), _COLOURS[kind]
 
 
 _USES = {
@@ -170,16 +175,16 @@ def _trust(subject: Subject, kind: str) -> Html:
             f" The folds disagree on {listed(found.disagreeing)}: the system drifts, or an effect "
             "is missing."
         )
-    if judged is not None and judged.reasons:
+    if judged is not None and kind in ("none", "doubt"):
         start = "Do not use this model" if kind == "none" else "Use it with care"
         return join((f"{start}. ", said(" ".join(judged.reasons), 2000), parameters))
     text = f"No candidate saw its validation data.{parameters}"
     if view.refitted and view.refitted.again:
         text += " Refitting the winner gave the same result."
-    if view.validated:
-        return join((text, " No validation check failed or is in doubt."))
     if subject.problem is not None and subject.problem.control is not None:
         return join((text.replace("validation data", "held-out scenarios"),))
+    if kind == "good":
+        return join((text, " No validation check failed."))
     command = tag("code", f"asia validate {view.started.run}")
     return join((text, " Its residuals and behaviour were not checked: run ", command, "."))
 

@@ -239,11 +239,16 @@ def test_the_error_spectrum_is_shown_with_the_noise(random: np.random.Generator)
 
 def test_bands_that_hold_too_little() -> None:
     names = ("a", "b", "c", "d")
-    good = check_bands(np.array([0.91, 0.84, 0.9, 1.0]), names, 0.9)
+    many, none = np.full(4, 100.0), ("",) * 4
+    good = check_bands(np.array([0.91, 0.84, 0.9, 1.0]), many, names, 0.9, none)
     assert good.verdict is Verdict.PASS
     assert good.sentence == "90 % output bands contained at least: b 84 %, c 90 %, a 91 %"
-    assert check_bands(np.array([0.79]), ("a",), 0.9).verdict is Verdict.DOUBT
-    assert check_bands(np.array([0.45]), ("a",), 0.9).verdict is Verdict.FAIL
+    for held, errors, verdict in ((0.79, 100, Verdict.FAIL), (0.79, 10, Verdict.PASS)):
+        one = check_bands(np.array([held]), np.array([errors]), ("a",), 0.9, ("",))
+        assert one.verdict is verdict
+    found = check_bands(np.array([0.9]), np.array([100]), ("a",), 0.9, ("the reason",))
+    assert found.verdict is Verdict.FAIL
+    assert found.sentence == "the output bands of a are withdrawn: the reason"
     assert no_bands("why").verdict is Verdict.ABSENT
 
 
