@@ -264,16 +264,14 @@ def finished(
     task: Task, linears: list[LinearModel], simulated: list[SimulatedPlant], y0: float
 ) -> Loop:
     """Loop with transfer functions in continuous time."""
-    late = any(one.delay[0, 0] == 0 for one in linears)
     plants: list[Transfer] = []
     for one in linears if KIND == "pid" else ():
         same, dead = continuous(one)
         num, den = same.numerator()
-        wait = (dead + 0.5 + late) * task.system.time
+        wait = dead * task.system.time
         keep = np.where(np.abs(num[0][0]) > 1e-9 * np.abs(num[0][0]).max(), num[0][0], 0.0)
         plants.append(Transfer(np.trim_zeros(keep, "f"), den, wait))
     labels = tuple(f"model {k + 1}" for k in range(len(linears)))
-    simulated = [SimulatedPlant(one.name, one.steps, one.starts, late) for one in simulated]
     return Loop("run", labels, plants, simulated, task.system.time, task.u0, y0, task.setpoint,
                 task.noise, models=linears)  # fmt: skip
 

@@ -1,19 +1,15 @@
 """The only module that imports by name: parts of installed packages, by their entry points; parts
 that the user names as `module:Name`; libraries and families. No name is read from a file."""
 
-from __future__ import annotations
-
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, LiteralString
+from typing import Any, LiteralString
 
 from asia.errors import UserError
-
-if TYPE_CHECKING:
-    from importlib.metadata import Distribution, EntryPoint
 
 GROUPS = (
     "asia.families",
@@ -105,7 +101,6 @@ def load_target(target: str, what: str) -> object:
     return found
 
 
-@cache
 def parts() -> tuple[Part, ...]:
     """Return the parts of all installed packages, by kind and name. Reads metadata, imports
     nothing.
@@ -113,24 +108,14 @@ def parts() -> tuple[Part, ...]:
     Raises:
         UserError: two packages bring a part of the same kind and name.
     """
-    from importlib.metadata import distributions
-
     found: dict[tuple[str, str], Part] = {}
-    for distribution in distributions():
-        for point in _points(distribution):
-            part = Part(
-                point.group,
-                point.name,
-                point.value,
-                distribution.metadata["Name"],
-                distribution.version,
+    for part in _all_parts():
+        other = found.setdefault((part.group, part.name), part)
+        if other.package != part.package:
+            raise UserError(
+                f"packages {other.package} and {part.package} both bring '{part.name}' in "
+                f"{part.group}: uninstall one of them"
             )
-            other = found.setdefault((part.group, part.name), part)
-            if other.package != part.package:
-                raise UserError(
-                    f"packages {other.package} and {part.package} both bring '{part.name}' in "
-                    f"{part.group}: uninstall one of them"
-                )
     return tuple(sorted(found.values(), key=lambda p: (GROUPS.index(p.group), p.name)))
 
 
@@ -150,13 +135,9 @@ class PluginPackage:
     `__init__.py`, which can be more than one."""
 
 
-@cache
 def _package_names() -> tuple[str, ...]:
     """Top-level names, whether or not the parts' own names clash."""
-    from importlib.metadata import distributions
-
-    points = [point for distribution in distributions() for point in _points(distribution)]
-    return tuple(dict.fromkeys(point.value.partition(":")[0].partition(".")[0] for point in points))
+    return tuple(dict.fromkeys(re.split("[:.]", part.target)[0] for part in _all_parts()))
 
 
 def plugin_packages() -> tuple[PluginPackage, ...]:
@@ -179,6 +160,14 @@ def plugin_packages() -> tuple[PluginPackage, ...]:
     return tuple(found)
 
 
-def _points(distribution: Distribution) -> tuple[EntryPoint, ...]:
+@cache
+def _all_parts() -> tuple[Part, ...]:
+    from importlib.metadata import distributions
+
     # The metadata of an editable install can lie on the path twice; the first one counts.
-    return tuple(point for point in distribution.entry_points if point.group in GROUPS)
+    return tuple(
+        Part(point.group, point.name, point.value, one.metadata["Name"], one.version)
+        for one in distributions()
+        for point in one.entry_points
+        if point.group in GROUPS
+    )

@@ -116,6 +116,8 @@ def _run(given: argparse.Namespace) -> int:
     report = suite.run_suite(suite.RedTeamPlan(levels, attacks, prove, honest, executor), show)
     if attacks and not given.json:
         print(suite.report_table(report))
+        if table := suite.gate_table(levels[:1], attacks):
+            print(f"\n{table}\n")
     print(suite.summary(report, time.monotonic() - begin))
     return 0 if report.passed else 1
 

@@ -16,8 +16,11 @@ from asia.data.trajectory import Trajectory
 from asia.interfaces.mcp import open_search
 from asia.interfaces.mcp.server import make_server
 from asia.interfaces.workspace.process import SearchRequest
+from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
+from asia.problem.load import load_problem
+from asia.search.run import prepare, search
 from tests.redteam.attacks.source import HONEST, fill_in
 from tests.redteam.problem import SmallProblem, small_problem
 from tests.unit.interfaces.cli.conftest import command_line
@@ -47,6 +50,7 @@ def search_with(
     problem: SmallProblem | None = None,
     *,
     guard: bool = True,
+    isolation: Isolation | None = None,
 ) -> SearchView:
     """Run a search whose first candidate is the honest one of the suite, and the others are these.
 
@@ -55,19 +59,26 @@ def search_with(
         folder: empty folder for the problem and the run
         problem: small problem of contiguous folds; None for "simulation"
         guard: whether the problem has guard records
+        isolation: level of the sandbox; None for the strongest, which alone other interfaces take
     """
     small = problem or small_problem("simulation")
     written = write_problem(folder / "small", small, len(candidates) + 1, guard=guard)
     runs = folder / "runs"
-    _SUBMIT[interface](written, runs, [filled(source, small) for source in candidates])
+    sources = [filled(source, small, folder) for source in candidates]
+    if isolation is None:
+        _SUBMIT[interface](written, runs, sources)
+    else:
+        agent = Scripted(tuple(sources))
+        ready = prepare(load_problem(written), agent.name, seed=0, runs=runs, isolation=isolation)
+        search(ready, agent, lambda event, view: None, lambda view: None)
     (run,) = (path for path in runs.iterdir() if (path / "ledger.jsonl").exists())
     end_searches(run)
     return open_run(run).view
 
 
-def filled(source: str, problem: SmallProblem) -> str:
-    """As the suite submits it, without targets."""
-    return fill_in(source, repr({"MARK": "rt-interface"}), problem)
+def filled(source: str, problem: SmallProblem, folder: Path) -> str:
+    """As the suite submits it, with a folder as its only target."""
+    return fill_in(source, repr({"MARK": "rt-interface", "FOLDER": str(folder)}), problem)
 
 
 def write_problem(folder: Path, problem: SmallProblem, experiments: int, *, guard: bool) -> Path:
@@ -100,7 +111,7 @@ def write_problem(folder: Path, problem: SmallProblem, experiments: int, *, guar
         lines = (f"{key} = {json.dumps(value)}\n" for key, value in values.items())
         return f"[{name}]\n{''.join(lines)}" if values else ""
 
-    (folder / "baseline.py").write_text(filled(HONEST, problem))
+    (folder / "baseline.py").write_text(filled(HONEST, problem, folder))
     (folder / "problem.toml").write_text(
         f'name = "small"\nsampling_time = 1.0\ninputs = {json.dumps(names)}\noutputs = ["level"]\n'
         + table("data", data)

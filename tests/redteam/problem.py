@@ -31,6 +31,7 @@ ProblemName = Literal[
     "levels",
     "noisy",
     "noisy windows",
+    "counted",
 ]
 
 
@@ -183,6 +184,20 @@ def _noisy(seed: int, samples: int = 480) -> Trajectory:
     return Trajectory(u, y, 1.0, "record")
 
 
+def _counted(seed: int) -> Trajectory:
+    """The first 200 samples of a record of a saturating plant with a slow disturbance, or, for a
+    seed other than 0, the 60 after them. No feedback signal is recorded."""
+    rng = np.random.default_rng(1)
+    drive = 1.5 * np.repeat(rng.normal(size=52), 5)
+    slow = _lag(0.9, 0.05 * rng.normal(size=260), 0.0)
+    slow += 0.3 * np.sin(2 * np.pi * np.arange(260.0) / 500)
+    y = _lag(_NOISY[0], 2 * _NOISY[1] * np.tanh(drive), 0.0) + slow
+    y += 0.04 * rng.normal(size=260)
+    u = np.stack([drive, rng.normal(size=260), np.arange(260.0)], axis=1)
+    part = slice(200, 260) if seed else slice(200)
+    return Trajectory(u[part], y[part], 1.0, "later" if seed else "record")
+
+
 def _lag(pole: float, pushed: Array, start: float) -> Array:
     """The first-order lag's outputs, each pushed by the sample before."""
     y = np.full(len(pushed), start)
@@ -209,6 +224,11 @@ _PROBLEMS: dict[ProblemName, _Row] = {
         ProtocolRule("windows", _TWO_FOLDS, 1, 1, horizon=24),
         _NOISY,
         lambda seed: (_noisy(seed),),
+    ),
+    "counted": (
+        ProtocolRule("simulation", _TWO_FOLDS, 4, 4),
+        _NOISY,
+        lambda seed: (_counted(seed),),
     ),
     "weather": (
         ProtocolRule("windows", _TWO_FOLDS, 2, 2, horizon=10),

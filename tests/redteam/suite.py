@@ -14,6 +14,7 @@ from asia.agents.library.registry import all_families
 from asia.judge.executors import Executor
 from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation, Layer
+from tests.redteam import gated
 from tests.redteam.arena import Interruption, attack_candidate, attack_unchecked
 from tests.redteam.attacks.searches import Scene
 from tests.redteam.attacks.table import ATTACKS
@@ -25,6 +26,7 @@ from tests.redteam.types import (
     ANY_LEVEL,
     Attack,
     AttackVerdict,
+    Barrier,
     CandidateAttack,
     Finding,
     HonestFinding,
@@ -275,6 +277,27 @@ def attack_table(attacks: Sequence[Attack]) -> str:
     rows = [["#", "attack", "what it tries", "stopped by"]]
     rows += [[str(a.number), a.name, a.tries, ", ".join(a.stops)] for a in attacks]
     return _aligned(rows)
+
+
+def gate_table(levels: Sequence[Isolation], attacks: Sequence[Attack]) -> str:
+    """Run searches with the candidates of the attacks that the guard records alone stop, with the
+    gate and without it, and format V, status and error on the guard records in Markdown; "" where
+    there are none."""
+    candidates = {
+        f"{attack.number} {name}": source
+        for attack in attacks
+        if isinstance(attack, CandidateAttack) and attack.stops == (Barrier.GUARD,)
+        for name, source in attack.sources.items()
+    }
+    if not candidates:
+        return ""
+    tables: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="asia-redteam-") as folder:
+        for level in levels:
+            (place := Path(folder, str(level))).mkdir()
+            found = gated.rows(*gated.play_both(candidates, place, level))
+            tables.append(f"Level {level}\n\n" + _aligned([gated.HEAD, *found]))
+    return "\n\n".join(tables)
 
 
 def without_table(findings: Sequence[Finding]) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from asia._plugins import parts
+from asia import _plugins
 
 
 @contextmanager
@@ -20,6 +20,6 @@ def installed(folder: Path, module: str, source: str, entry_points: str) -> Iter
     (info / "entry_points.txt").write_text(entry_points)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
-        parts.cache_clear()
+        _plugins._all_parts.cache_clear()
         yield
-    parts.cache_clear()
+    _plugins._all_parts.cache_clear()

@@ -13,7 +13,7 @@ _PAINT, _LAYOUT = Figure.savefig, Figure.draw_without_rendering
 
 def _blank(figure: Figure, stream: BytesIO, **settings: object) -> None:
     assert figure.axes, "the picture shows nothing"
-    assert settings["format"] in ("png", "pdf")
+    assert settings["format"] in ("png", "pdf", "svg")
     stream.write(b"not painted")
 
 

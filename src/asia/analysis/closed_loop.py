@@ -18,6 +18,7 @@ from asia.analysis.certificate import certify
 from asia.analysis.certificate_check import FORMAT, common_sentences, digest
 from asia.analysis.control import Loop, SampledController, SimulatedPlant
 from asia.data.trajectory import Array
+from asia.lowering.linear import OperatingPoint, split
 from asia.lowering.program import Builder, LoweredModel, inlined
 
 INPUTS = ("r", "load", "noise")
@@ -26,23 +27,22 @@ _LINEAR = frozenset(("stability", "peak gain", "H-infinity norm"))
 
 
 def closed_loop(
-    plant: LoweredModel, controller: SampledController, *, late: bool, limited: bool
+    plant: LoweredModel, controller: SampledController, *, limited: bool
 ) -> LoweredModel:
     """Connect a plant with one input and one output to a controller.
 
     Args:
         plant: lowered model
         controller: PID or LQR
-        late: whether the controller has the output of the sample before
         limited: whether u stays within the limits and the rate of the controller
 
     Returns:
-        model with inputs r, load, noise; states of the plant, of the controller, last u and y;
+        model with inputs r, load, noise; states of the plant, of the controller, last u;
         outputs y, u, and the change of u in a sample if the controller has a rate
     """
     n, m = len(controller.c), len(plant.states)
     own = ((n,),) if n else ()
-    build = Builder((*plant.states, *own, (2,), (3,)))
+    build = Builder((*plant.states, *own, (1,), (3,)))
     memory, inputs = m + len(own), m + len(own) + 1
 
     def part(value: int, k: int) -> int:
@@ -57,11 +57,8 @@ def closed_loop(
         product = build.add("matmul", (build.constant(matrix), column))
         return build.add("reshape", (product,), (len(matrix),))
 
-    last, before = part(memory, 0), part(memory, 1)
-    states = range(m)
-    seen = before
-    if not late:
-        (seen,) = _inlined(build, plant, [*states, last], 1)
+    last, states = memory, range(m)
+    (seen,) = _inlined(build, plant, [*states, last], 1)
     dr = build.add("sub", (part(inputs, 0), number(controller.y0)))
     measured = build.add("add", (seen, part(inputs, 2)))
     dy = build.add("sub", (measured, number(controller.y0)))
@@ -81,7 +78,7 @@ def closed_loop(
     if n:
         du = build.add("sub", (u, number(controller.u0)))
         after.append(times(np.hstack([controller.a, controller.b]), [*known, du]))
-    after.append(build.add("concat", (u, y), (0,)))
+    after.append(u)
     shown = [y, u]
     if math.isfinite(controller.rate):
         shown.append(build.add("sub", (u, last)))
@@ -89,6 +86,23 @@ def closed_loop(
     zeros = [start.constant(np.zeros(shape)) for shape in build.inputs[:-1]]
     step = build.program([build.add("concat", shown, (0,)), *after])
     return LoweredModel(0, 0, 3, len(shown), plant.single, start.program(zeros), step)
+
+
+def single_loop(plant: LoweredModel, at: OperatingPoint, output: int, given: int) -> LoweredModel:
+    """Model of one output and one input, which begins at an operating point and holds the other
+    inputs there."""
+    if plant.nu == plant.ny == 1:
+        return plant
+    build = Builder((*plant.states, (1,)))
+    m = len(plant.states)
+    parts = [build.constant(at.u[:given]), m, build.constant(at.u[given + 1 :])]
+    u = build.add("concat", parts, (0,))
+    y, *after = _inlined(build, plant, [*range(m), u], None)
+    shown = build.add("slice", (y,), (output, output + 1, 1))
+    start = Builder(((0, 1), (0, 1), (1,)))
+    states = [start.constant(one) for one in split(plant, at.x)]
+    step = build.program([shown, *after])
+    return LoweredModel(0, 0, 1, 1, plant.single, start.program(states), step)
 
 
 def _inlined(
@@ -102,7 +116,7 @@ def _inlined(
 def loop_start(plant: SimulatedPlant, controller: SampledController) -> Array:
     """State of a closed loop at its operating point."""
     held = np.zeros(len(controller.c))
-    return np.concatenate([plant.starts[0], held, [controller.u0, controller.y0]])
+    return np.concatenate([plant.starts[0], held, [controller.u0]])
 
 
 def certify_loop(
@@ -143,7 +157,7 @@ def certify_loop(
 
         def found(plant: SimulatedPlant, subject: str, y: Array, *, limited: bool) -> Any:
             return certify(
-                closed_loop(plant.lowered[0], controller, late=plant.late, limited=limited), inputs,
+                closed_loop(plant.lowered[0], controller, limited=limited), inputs,
                 loop_start(plant, controller), horizon,
                 {"model": plant.name, "subject": subject, "inputs": facts["inputs"],
                  "outputs": outputs, "assumptions": []},

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
-from asia.lowering.linear import LinearModel, discretize
+from asia.lowering.linear import LinearModel, discretize, minimal
 from asia.lowering.program import LoweredModel
 
 # Order of Pade's approximation of a dead time in the poles of the closed loop.
 _PADE = 3
 # Points of the frequency response and of the step response, which is computed in blocks.
-_GRID, _TIMES, _BLOCK = 400, 600, 25
+_GRID, _TIMES, _BLOCK, _SAMPLED_GRID = 400, 600, 25, 200
 _BAND = 0.02
 _NEAR = np.geomspace(1e-4, 0.3, 12)
 # Reserve that the optimisation asks for beyond each specification.
@@ -49,6 +49,10 @@ _INTEGRAL = 0.01
 _PREFERRED = 0.5
 # Largest crossover frequency in units of the speed that is asked for, or of the unstable pole.
 _SPEED = 300.0
+# Samples of the step response of a plant by itself.
+_LONGEST_OWN = 20_000
+# Times that the default sampling time is halved at most.
+_FINER = 6
 # Generations without a progress of 1 % after which an optimisation ends.
 _STALLED = 40
 # The last structure, which nothing follows, is searched this much longer.
@@ -73,10 +77,12 @@ class Transfer:
 
     @property
     def own_settling(self) -> float | None:
-        """About the 2 % settling time of its own step response in s; None where it does not
-        settle."""
-        poles = np.roots(self.den).real
-        return 4.0 / float(-poles.max()) + self.delay if len(poles) and poles.max() < 0 else None
+        """2 % settling time of its own step response in s; None where it does not settle."""
+        slow = -float(np.roots(self.den).real.max(initial=-math.inf))
+        if not 0.0 < slow < math.inf:
+            return None
+        rest = _own_settling(sampled_plant(replace(self, delay=0.0), 0.02 / slow))
+        return None if rest is None else rest + self.delay
 
     def rational(self) -> Transfer:
         """The same with Pade's approximation of the dead time."""
@@ -664,24 +670,38 @@ class SampledController:
     rate: float = math.inf
     """Largest change of u in 1/s."""
 
-    def step(self, x: Array, last: float, r: float, y: float) -> tuple[Array, float]:
-        """State of the next sample and the input u, from the state, the last input, the set point
-        and the measured output."""
-        u = min(max(self.wanted(x, last, r, y), self.low), self.high)
-        most = self.rate * self.sampling_time
-        u = min(max(u, last - most), last + most)
-        seen = np.array([r - self.y0, y - self.y0, u - self.u0])
-        return self.a @ x + self.b @ seen, u
+    def started(self, u: float | None = None) -> Any:
+        """The exported Python class, started from an input; None for that of the operating point.
+        Its `step(r, y)` is what every simulation calls."""
+        names: dict[str, Any] = {}
+        exec(self.code("python"), names)
+        return names["Controller"]() if u is None else names["Controller"](u)
 
-    def wanted(self, x: Array, last: float, r: float, y: float) -> float:
-        """Input before the limits; arguments as for `step`."""
-        del last
-        return float(self.u0 + self.c @ x + self.d @ np.array([r - self.y0, y - self.y0]))
+    @property
+    def about(self) -> str:
+        """How the code is used."""
+        return (
+            f"Call once every {self.sampling_time:.12g} s: set point r and output y, read before "
+            "the input changes, to the input u that is then held."
+        )
+
+    @property
+    def rest(self) -> Array:
+        """States (n,) at rest at the operating output, for an input 1 above u0; without an
+        integral action the input has no such states, and they are 0."""
+        n = len(self.c)
+        left = np.eye(n) - self.a
+        if not n or np.linalg.cond(left) > 1e12:
+            return np.zeros(n)
+        x = np.linalg.solve(left, self.b[:, 2])
+        holds = abs(float(self.c @ x) - 1.0) < 1e-6
+        return np.array([float(f"{v:.12g}") for v in x]) if holds else np.zeros(n)
 
     def code(self, language: Language) -> str:
         """Source of one step function: a Python class, C99, or a function block in Structured Text
-        (IEC 61131-3)."""
-        n = len(self.c)
+        (IEC 61131-3). The Python class and the C code start from an input: with r = y they hold
+        it."""
+        n, rest = len(self.c), self.rest
         state = {"python": "self.", "c": "s->", "st": ""}[language]
         least, most = {"python": ("min", "max"), "c": ("fmin", "fmax"), "st": ("MIN", "MAX")}[
             language
@@ -691,11 +711,16 @@ class SampledController:
             text = repr(float(value))
             return text if "e" not in text else f"{value:.17e}"
 
+        u0 = number(self.u0)
+
         def total(values: Array, names: Sequence[str]) -> str:
             terms = [f"{number(v)} * {x}" for v, x in zip(values, names, strict=True) if v]
             return " + ".join(terms).replace("+ -", "- ") or "0.0"
 
         xs = [f"{state}x{i}" for i in range(n)]
+        # Without an integral action the input at the start is the bias.
+        bias = f"{state}bias" if not rest.any() else u0
+        begin = [f"{number(v)} * (u - {u0})" if v else "0.0" for v in rest]
         last = f"{state}last"
         limited = "v"
         if math.isfinite(self.low):
@@ -707,7 +732,7 @@ class SampledController:
             ("dy", f"y - {number(self.y0)}".replace("- -", "+ ")),
             (
                 "v",
-                f"{number(self.u0)} + {total(np.concatenate([self.c, self.d]), [*xs, 'dr', 'dy'])}",
+                f"{bias} + {total(np.concatenate([self.c, self.d]), [*xs, 'dr', 'dy'])}",
             ),
             ("u", limited),
         ]
@@ -719,11 +744,11 @@ class SampledController:
         inputs = [*xs, "dr", "dy", "du"]
         body += [(f"n{i}", total(np.concatenate([self.a[i], self.b[i]]), inputs)) for i in range(n)]
         body += [*((f"{state}x{i}", f"n{i}") for i in range(n)), (last, "u")]
-        about = f"Call once every {self.sampling_time:g} s: set point r and output y to input u."
-        u0 = number(self.u0)
+        about = self.about
+        starts = [*zip(xs, begin, strict=True), *[(bias, "u")] * (not rest.any())]
         if language == "python":
             lines = "\n".join(f"        {name} = {value}" for name, value in body)
-            zero = "".join(f"        self.x{i} = 0.0\n" for i in range(n))
+            zero = "".join(f"        {name} = {value}\n" for name, value in starts)
             return (
                 f'class Controller:\n    """{about}"""\n\n    def __init__(self, u={u0}):\n'
                 f"        self.last = u\n{zero}\n    def step(self, r, y):\n{lines}\n"
@@ -736,12 +761,12 @@ class SampledController:
                 kind = "" if "->" in name or name in known else "double "
                 known.add(name)
                 lines += f"    {kind}{name} = {value};\n"
-            fields = "".join(f" double x{i};" for i in range(n))
+            fields = "".join(f" double {name.removeprefix(state)};" for name, _ in starts)
             return (
                 f"/* {about} */\n#include <math.h>\n\n"
                 f"typedef struct {{ double last;{fields} }} controller;\n\n"
                 f"void controller_reset(controller *s, double u)\n{{\n    s->last = u;\n"
-                + "".join(f"    s->x{i} = 0.0;\n" for i in range(n))
+                + "".join(f"    {name} = {value};\n" for name, value in starts)
                 + "}\n\ndouble controller_step(controller *s, double r, double y)\n{\n"
                 + f"{lines}    return u;\n}}\n"
             )
@@ -749,7 +774,9 @@ class SampledController:
             name for name in dict(body) if name not in {"u", "last", *(f"x{i}" for i in range(n))}
         )
         lines = "".join(f"    {name} := {value};\n" for name, value in body)
-        held = "".join(f"    x{i} : LREAL := 0.0;\n" for i in range(n))
+        held = "".join(
+            f"    {name} : LREAL := {u0 if name == bias else '0.0'};\n" for name, _ in starts
+        )
         return (
             f"(* {about} *)\nFUNCTION_BLOCK Controller\nVAR_INPUT\n    r : LREAL;\n"
             "    y : LREAL;\nEND_VAR\nVAR_OUTPUT\n    u : LREAL;\nEND_VAR\nVAR\n"
@@ -808,9 +835,6 @@ class SimulatedPlant:
     name: str
     steps: Sequence[PlantStep]
     starts: Sequence[Array]
-    late: bool = False
-    """Whether an input acts on the output of its own sample: the controller then has the output of
-    the sample before."""
     lowered: Sequence[LoweredModel] = ()
     """The models of `steps`, where they are lowered."""
 
@@ -835,28 +859,62 @@ def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:
         after = move @ x + new * inputs[whole] + old * inputs[whole + 1]
         return float(c[0, :n] @ x + d[0, 0] * seen), np.concatenate([after, inputs[:-1]])
 
-    late = bool(d[0, 0]) and not plant.delay
-    return SimulatedPlant("plant", [step], [np.zeros(n + whole + 1)], late)
+    return SimulatedPlant("plant", [step], [np.zeros(n + whole + 1)])
+
+
+def sampled_plant(plant: Transfer, sampling_time: float) -> LinearModel:
+    """Linear model of a plant between constant inputs."""
+    held = zero_order_hold(plant, sampling_time)
+    n, step = len(held.starts[0]), held.steps[0]
+    each = [step(one[:n], float(one[n])) for one in np.eye(n + 1)]
+    whole = np.stack([np.append(y, after) for y, after in each], axis=1)
+    return LinearModel(
+        whole[1:, :n], whole[1:, n:], whole[:1, :n], whole[:1, n:], sampling_time, np.zeros(1),
+        np.zeros(1),
+    )  # fmt: skip
+
+
+def _own_settling(model: LinearModel) -> float | None:
+    """2 % settling time in s of the step response of a sampled model; None where it does not
+    settle, or settles to 0."""
+    slow = spectral_radius(model.a)
+    if not slow < 1.0 - 1e-6:
+        return None
+    # Each of equal lags in a row adds less than three time constants.
+    lags = -1.0 / math.log(slow) if slow > 1e-6 else 1.0
+    y = model.step_response(int(min((4 + 3 * model.order) * lags, _LONGEST_OWN)) + 20)[:, 0, 0]
+    final = float(model.gain[0, 0])
+    if abs(final) <= 1e-9 * np.abs(y).max():
+        return None
+    outside = np.flatnonzero(np.abs(y - final) > _BAND * abs(final))
+    return model.sampling_time * (1 + int(outside[-1]) if len(outside) else 1)
 
 
 def simulate_loop(
     controller: SampledController, plant: SimulatedPlant, r: Array, noise: Array | None = None
 ) -> tuple[Array, Array]:
-    """Outputs and inputs (T,) of the loop from its operating point, for set points r (T,) and
-    measurement noise (T,); NaN from where a model is not finite."""
+    """Simulate a loop from its operating point with the exported controller.
+
+    In each sample the controller reads the output, while the plant still has the input of the last
+    sample, and sets the next input.
+
+    Args:
+        r: set points (T,)
+        noise: measurement noise (T,)
+
+    Returns:
+        outputs and inputs (T,), NaN from where a model is not finite
+    """
     y, u = np.full(len(r), math.nan), np.full(len(r), math.nan)
-    states, x, last = list(plant.starts), np.zeros(len(controller.c)), controller.u0
-    before = controller.y0
+    states, last, code = list(plant.starts), controller.u0, controller.started()
     for k, target in enumerate(r):
-        seen = before
-        if not plant.late:
-            seen = fmean(one(s, last)[0] for one, s in zip(plant.steps, states, strict=True))
-        x, last = controller.step(x, last, float(target), seen + (0 if noise is None else noise[k]))
+        seen = fmean(one(s, last)[0] for one, s in zip(plant.steps, states, strict=True))
+        last = float(code.step(float(target), seen + (0.0 if noise is None else float(noise[k]))))
         found = [one(s, last) for one, s in zip(plant.steps, states, strict=True)]
-        before, states = fmean(one[0] for one in found), [one[1] for one in found]
-        if not (np.isfinite(before) and np.isfinite(last) and abs(before) < 1e12):
+        after, states = fmean(one[0] for one in found), [one[1] for one in found]
+        if not (np.isfinite(after) and np.isfinite(last) and abs(after) < 1e12):
             break
-        y[k], u[k] = before, last
+        y[k], u[k] = after, last
     return y, u
 
 
@@ -906,6 +964,92 @@ def response_figures(
     )  # fmt: skip
 
 
+# The sampled loop of a linear plant, without limits.
+
+
+@dataclass(frozen=True)
+class ControlledPlant:
+    """Linear plant with the state that the controller sees: x[k+1] = A x[k] + B u[k]. It sees C x,
+    where the input is still the last one; the output of the sample is E x + F u."""
+
+    a: Array
+    b: Array
+    c: Array
+    e: Array
+    f: float
+
+    @classmethod
+    def of(cls, model: LinearModel) -> ControlledPlant:
+        """Plant of a sampled linear model with one input and one output; its last input is a state
+        where it acts on the output at once."""
+        direct = float(model.d[0, 0])
+        if not direct:
+            return cls(model.a, model.b, model.c, model.c, 0.0)
+        n = model.order
+        a = np.block([[model.a, np.zeros((n, 1))], [np.zeros((1, n + 1))]])
+        seen, own = (np.append(model.c[0], value)[None] for value in (direct, 0.0))
+        return cls(a, np.vstack([model.b, np.ones((1, 1))]), seen, own, direct)
+
+
+def spectral_radius(a: Array) -> float:
+    """Size of the largest eigenvalue."""
+    return float(np.abs(np.linalg.eigvals(a)).max(initial=0.0))
+
+
+def sampled_loop_figures(
+    plant: ControlledPlant, controller: SampledController, load: float | None = None
+) -> LoopFigures:
+    """Compute margins at the input of the plant, and the responses to steps of the set point and of
+    a load at the input of this size, of a sampled loop without limits."""
+    n, c, d = len(plant.a), controller.c[None], controller.d
+    inner = controller.a + controller.b[:, 2:] @ c
+    into = controller.b[:, :2] + controller.b[:, 2:] * d
+    a = np.block([
+        [plant.a + d[1] * plant.b @ plant.c, plant.b @ c],
+        [into[:, 1:] @ plant.c, inner],
+    ])  # fmt: skip
+    radius = spectral_radius(a)
+    if not radius < 1.0 - 1e-9:
+        return LoopFigures(False, 1.0, 1.0, 0.0, math.inf, math.inf, math.inf)
+    time = controller.sampling_time
+
+    def response(w: Array) -> NDArray[np.complex128]:
+        z = np.exp(1j * w * time)[:, None, None]
+        there = plant.c @ np.linalg.solve(z * np.eye(n) - plant.a, plant.b + 0j)
+        back = c @ np.linalg.solve(z * np.eye(len(inner)) - inner, into[:, 1:] + 0j) + d[1]
+        return np.asarray(-(there * back)[:, 0, 0], np.complex128)
+
+    nyquist = math.pi / time
+    w = np.geomspace(1e-5 * nyquist, nyquist, _SAMPLED_GRID)
+    for matrix in (plant.a, inner):
+        poles = np.linalg.eigvals(matrix)
+        corners = np.abs(np.log(poles[np.abs(poles) > 1e-6] + 0j)) / time
+        w = np.append(w, np.outer(corners, (0.97, 0.99, 1.0, 1.01, 1.03)).reshape(-1))
+    w = np.unique(w[(w >= 1e-5 * nyquist) & (w <= nyquist)])
+    last = float(response(np.array([nyquist]))[0].real)
+    low, high, phase, late = margins(w, response, (last,))
+    samples = int(min(max(math.log(1e-4) / math.log(max(radius, 1e-3)), 50), _LONGEST))
+    push = np.stack([
+        np.concatenate([plant.b[:, 0] * d[0], into[:, 0]]),
+        np.concatenate([plant.b[:, 0] * (load or 0.0), np.zeros(len(inner))]),
+    ], axis=1)  # fmt: skip
+    row = np.concatenate([plant.e + plant.f * d[1] * plant.c, plant.f * c], axis=1)[0]
+    direct = plant.f * np.array([d[0], load or 0.0])
+    x, y = np.zeros((len(a), 2)), np.empty((samples, 2))
+    for k in range(samples):
+        y[k] = row @ x + direct
+        x = a @ x + push
+    one, other = (
+        response_figures(part, np.zeros(samples), replace(controller, u0=0.0, y0=0.0), 1.0)
+        for part in (y[:, 0], 1.0 + y[:, 1])
+    )
+    final = float(row @ np.linalg.solve(np.eye(len(a)) - a, push[:, 0]) + direct[0])
+    return LoopFigures(
+        True, low, high, phase, one.settling, one.overshoot, 1.0 - final, late, one.rise,
+        load_settling=0.0 if load is None else other.settling,
+    )  # fmt: skip
+
+
 # A design that also meets its specifications in the simulated loop.
 
 # Samples of a simulation, and designs of which each asks for more than the last one.
@@ -945,13 +1089,19 @@ class Loop:
         missing = math.sqrt(max(self.error**2 - self.noise**2, 0.0))
         return missing / abs(self.setpoint - self.y0)
 
+    def sampled(self) -> Loop:
+        """Loop with the sampled linear models and the simulated plant of transfer functions, exact
+        for held inputs."""
+        if self.models:
+            return self
+        models = [minimal(sampled_plant(one, self.sampling_time)) for one in self.plants]
+        held = zero_order_hold(self.plants[0], self.sampling_time)
+        return replace(self, models=models, simulated=[replace(held, name="loop")])
+
     @property
     def own_settling(self) -> float | None:
-        """About the 2 % settling time of the first plant in s; None where it does not settle."""
-        if self.plants:
-            return self.plants[0].own_settling
-        size = float(np.abs(self.models[0].poles).max(initial=0.0))
-        return -4.0 * self.sampling_time / math.log(size) if 1e-6 < size < 1.0 - 1e-6 else None
+        """2 % settling time of the first plant in s; None where it does not settle."""
+        return self.plants[0].own_settling if self.plants else _own_settling(self.models[0])
 
 
 @dataclass(frozen=True)
@@ -970,6 +1120,11 @@ class SimulatedDesign:
     judged: list[ResponseFigures]
     missed: list[str]
     """Sentences on specifications that the simulation does not meet."""
+
+    @property
+    def shortfalls(self) -> tuple[str, ...]:
+        """Everything that is missed, by the linear plants and in simulation."""
+        return *self.design.violated, *self.missed
 
 
 @dataclass(frozen=True)
@@ -997,45 +1152,82 @@ def pid_designer(
     def designed(
         loop: Loop, wanted: Specification
     ) -> tuple[Loop, Design, list[LoopFigures], SampledController]:
-        found = design(loop.plants, wanted, seed=seed, report=report)
+        # A sampled controller acts half a sample late, and the plants do not have that.
+        wait = 0.5 * loop.sampling_time
+        plants = [replace(one, delay=one.delay + wait) for one in loop.plants]
+        found = design(plants, wanted, seed=seed, report=report)
         assert found.controller is not None
-        each = [loop_figures(one, found.controller) for one in loop.plants]
+        each = [loop_figures(one, found.controller) for one in plants]
         slow = max((one.settling for one in each if math.isfinite(one.settling)), default=1.0)
-        if not loop.sampling_time:
-            loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
-        if not loop.simulated:
-            held = zero_order_hold(loop.plants[0], loop.sampling_time)
-            loop = replace(loop, simulated=[replace(held, name="loop")])
-        controller = sampled(found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0,
-                             limits=(limits.low, limits.high), rate=limits.rate)  # fmt: skip
-        return loop, found, each, controller
+        time, known = loop.sampling_time, bool(loop.sampling_time)
+        if not known:
+            time = float(f"{(slow or 1.0) / 200.0:.1g}")
+        of, controller, each = sampled_design(loop, found.controller, time)
+        # Shorter samples where the sampled loop misses what the continuous one has.
+        for k in range(1, 0 if known else _FINER):
+            if {n for one in each for n, _ in one.violations(wanted)} <= set(found.violated):
+                break
+            of, controller, each = sampled_design(
+                loop, found.controller, float(f"{time / 2**k:.1g}")
+            )
+        return of, found, each, controller
+
+    def sampled_design(
+        loop: Loop, continuous: Transfer, time: float
+    ) -> tuple[Loop, SampledController, list[LoopFigures]]:
+        of = replace(loop, sampling_time=time).sampled()
+        made = sampled(continuous, time, u0=loop.u0, y0=loop.y0,
+                       limits=(limits.low, limits.high), rate=limits.rate)  # fmt: skip
+        each = [sampled_loop_figures(ControlledPlant.of(one), made) for one in of.models]
+        return of, made, each
 
     return designed
 
 
 def design_in_simulation(loop: Loop, wanted: Specification, designer: Designer) -> SimulatedDesign:
-    """Design a controller for all plants of a loop, and simulate it. Where the simulation misses
-    what the linear plants meet, the design asks for more by the same share, a few times."""
-    asked, made = wanted, _simulated(*designer(loop, wanted), wanted)
+    """Design a controller for all plants of a loop, and simulate it. Where the sampled loop or the
+    simulation misses what the designer meets, it is asked for more by the same share, a few
+    times."""
+    parts = designer(loop, wanted)
+    asked, made = wanted, _simulated(*parts, wanted)
     for _ in range(_TRIES - 1):
-        longest = max(one.settling for one in made.judged)
-        most = max(one.overshoot for one in made.judged)
-        if made.design.violated or not made.missed or not math.isfinite(longest):
+        longest = max(one.settling for one in [*made.judged, *made.figures])
+        if parts[1].violated or not made.shortfalls or not math.isfinite(longest):
             break
-        if asked.settling_max is not None and wanted.settling_max is not None:
-            # Less than what the linear plants reached, which may be faster than asked.
-            share = min(0.97 * wanted.settling_max / longest, 1.0)
-            linear = max(one.settling for one in made.figures) if share < 1.0 else math.inf
-            asked = replace(asked, settling_max=min(asked.settling_max, linear) * share)
-        if asked.overshoot is not None and wanted.overshoot is not None:
-            share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
-            asked = replace(asked, overshoot=asked.overshoot * share)
+        asked = _tightened(asked, wanted, made, longest)
         again = _simulated(*designer(made.loop, asked), wanted)
         # A faster loop at its limits may not settle at all.
-        if again.design.violated or not all(math.isfinite(one.settling) for one in again.judged):
+        settles = all(math.isfinite(one.settling) for one in again.judged)
+        if not settles or len(again.shortfalls) > len(made.shortfalls):
             break
         made = again
     return made
+
+
+def _tightened(
+    asked: Specification, wanted: Specification, made: SimulatedDesign, longest: float
+) -> Specification:
+    """Ask for more of each specification that a design misses, by the share that it misses."""
+    most = max(one.overshoot for one in [*made.judged, *made.figures])
+    if asked.settling_max is not None and wanted.settling_max is not None:
+        # Less than what the linear plants reached, which may be faster than asked.
+        share = min(0.97 * wanted.settling_max / longest, 1.0)
+        linear = max(one.settling for one in made.figures) if share < 1.0 else math.inf
+        asked = replace(asked, settling_max=min(asked.settling_max, linear) * share)
+    if asked.overshoot is not None and wanted.overshoot is not None:
+        share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
+        asked = replace(asked, overshoot=asked.overshoot * share)
+    if asked.gain_margin is not None and wanted.gain_margin is not None:
+        least = min(one.gain_high for one in made.figures)
+        if least < wanted.gain_margin:
+            asked = replace(
+                asked, gain_margin=1.03 * asked.gain_margin * wanted.gain_margin / least
+            )
+    if asked.phase_margin is not None and wanted.phase_margin is not None:
+        less = wanted.phase_margin - min(one.phase_margin for one in made.figures)
+        if less > 0:
+            asked = replace(asked, phase_margin=asked.phase_margin + less + 1.0)
+    return asked
 
 
 def _simulated(
@@ -1047,6 +1239,8 @@ def _simulated(
     target = np.full(samples, loop.setpoint)
     responses = [simulate_loop(controller, one, target) for one in loop.simulated]
     judged = [response_figures(y, u, controller, loop.setpoint) for y, u in responses]
+    violated = {name for one in each for name, _ in one.violations(wanted)}
+    found = replace(found, figures=each[0], violated=tuple(sorted(violated)))
     missed = _missed(loop, judged, wanted)
     return SimulatedDesign(loop, found, each, controller, target, responses, judged, missed)
 

@@ -461,6 +461,7 @@ class RunExperiment:
 
     run: str
     inputs: tuple[Signal, ...]
+    """Planned inputs, without disturbances."""
     outputs: tuple[Signal, ...]
     sampling_time: float
     """Sampling time of the models in s."""
@@ -480,7 +481,7 @@ def next_experiment(
     rate: Mapping[str, float],
     keep: Mapping[str, tuple[float, float]],
     *,
-    start: Array | None = None,
+    start: Mapping[str, float] | None = None,
     seed: int = 0,
     isolation: Isolation | None = None,
 ) -> RunExperiment:
@@ -492,7 +493,8 @@ def next_experiment(
         limits: least and largest value of inputs; those of the records where there are none
         rate: largest change of inputs in a second
         keep: limits of outputs
-        start: inputs (nu,) before the record; None for the means of the training records
+        start: inputs before the record; the means of the training records where there are none,
+            which a disturbance keeps
         isolation: level of the candidates; None for the strongest of this machine
 
     Raises:
@@ -512,15 +514,22 @@ def next_experiment(
     evaluator = make_evaluator(problem, view, isolation=isolation)
     records = evaluator.data.records
     every = np.concatenate([record.u for record in records])
-    names = [signal.name for signal in problem.inputs]
+    actuated = [j for j, signal in enumerate(problem.inputs) if signal.is_actuated]
+    if not actuated:
+        raise UserError("all inputs are disturbances: there is nothing to plan")
+    inputs = tuple(problem.inputs[j] for j in actuated)
+    names = [signal.name for signal in inputs]
     ends = np.array(
-        [limits.get(n, (a.min(), a.max())) for n, a in zip(names, every.T, strict=True)]
+        [limits.get(n, (a.min(), a.max())) for n, a in zip(names, every.T[actuated], strict=True)]
     )
-    rest: Array = every.mean(axis=0) if start is None else start
-    if not ((ends[:, 0] <= rest) & (rest <= ends[:, 1])).all():
+    given = start or {}
+    means = zip(problem.inputs, every.mean(axis=0).tolist(), strict=True)
+    rest: Array = np.array([given.get(signal.name, mean) for signal, mean in means])
+    begin = rest[actuated]
+    if not ((ends[:, 0] <= begin) & (begin <= ends[:, 1])).all():
         raise UserError(
-            f"the record begins at {rest.tolist()}, outside the limits {ends.tolist()}: give wider "
-            "--limits or another --start"
+            f"the record begins at {begin.tolist()}, outside the limits {ends.tolist()}: give "
+            "wider --limits or another --start"
         )
     step = np.array([rate.get(name, np.inf) for name in names]) * problem.sampling_time
     kept = np.array([keep.get(signal.name, (-np.inf, np.inf)) for signal in problem.outputs]).T
@@ -563,8 +572,15 @@ def next_experiment(
         at_rest = y[-1]
         past_y = np.tile(at_rest, (rule.past_outputs, 1))
 
-        def seen(u: Array) -> tuple[Array, Array]:
-            """Past inputs and inputs as a model reads them, of inputs (H, nu) behind the rest."""
+        def beside(u: Array) -> Array:
+            """All inputs (..., nu): the planned ones, and disturbances at rest."""
+            every = np.tile(rest, (*u.shape[:-1], 1))
+            every[..., actuated] = u
+            return every
+
+        def seen(planned: Array) -> tuple[Array, Array]:
+            """Past inputs and inputs as a model reads them, of planned inputs behind the rest."""
+            u = beside(planned)
             raw = np.concatenate([np.tile(rest, (before, 1)), np.repeat(u, done.decimate, axis=0)])
             whole = done.inputs(raw, problem.inputs) if done else raw
             return whole[: rule.past_inputs], whole[rule.past_inputs :]
@@ -578,8 +594,8 @@ def next_experiment(
         def wide(u: Array, y: Array) -> Array:
             return reach * np.maximum(basis.region.distance(*seen(u), y), 1.0)[:, None]
 
-        own = InputLimits(ends[:, 0], ends[:, 1], step, rest)
-        identify = _parameters(run, problem, (rest, at_rest))
+        own = InputLimits(ends[:, 0], ends[:, 1], step, begin)
+        identify = _parameters(run, problem, (rest, at_rest), beside)
         subject = Subject(
             predict, tuple(numbers), values, noise, own, kept, wide,
             None if identify is None else identify.changes,
@@ -587,8 +603,8 @@ def next_experiment(
         found = design_experiment(subject, samples, seed=seed)
         gained = () if identify is None else identify.gained(found, noise)
         return RunExperiment(
-            run.name, problem.inputs, problem.outputs, problem.sampling_time, found, noise,
-            (rest, at_rest), gained,
+            run.name, inputs, problem.outputs, problem.sampling_time, found, noise,
+            (begin, at_rest), gained,
             tuple(
                 f"models of #{n:02d} diverge within the limits and are left out"
                 for n in values if found.members.count(n) < numbers.count(n)
@@ -622,7 +638,9 @@ class _Parameters:
         )
 
 
-def _parameters(run: Run, problem: Problem, rest: tuple[Array, Array]) -> _Parameters | None:
+def _parameters(
+    run: Run, problem: Problem, rest: tuple[Array, Array], beside: Callable[[Array], Array]
+) -> _Parameters | None:
     """The parameters of the equations as the winner identified them; None where it names no
     standard errors of them."""
     found, physics = identified(run), problem.physics
@@ -648,6 +666,6 @@ def _parameters(run: Run, problem: Problem, rest: tuple[Array, Array]) -> _Param
     by_equations = ParameterChanges(physics, signals, values, root, rest, problem.sampling_time)
 
     def changes(u: Array) -> Array:
-        return np.nan_to_num(by_equations(u), nan=0.0, posinf=0.0, neginf=0.0)
+        return np.nan_to_num(by_equations(beside(u)), nan=0.0, posinf=0.0, neginf=0.0)
 
     return _Parameters(tuple(values), np.array(list(values.values())), root, changes)

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asia.analysis.control import (
+    ControlledPlant,
     Design,
     Designer,
     Language,
@@ -27,13 +27,12 @@ from asia.analysis.control import (
     LoopFigures,
     SampledController,
     Specification,
-    margins,
-    response_figures,
-    zero_order_hold,
+    sampled_loop_figures,
+    spectral_radius,
 )
 from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.lowering.linear import LinearModel, minimal, reduced
+from asia.lowering.linear import reduced
 
 # Weights of the input that are tried, in units of the squared gain of the plant, and variances of
 # the disturbance in those of the noise. Observers are tried in this order, counted from the slowest
@@ -41,7 +40,6 @@ from asia.lowering.linear import LinearModel, minimal, reduced
 _WEIGHTS, _DISTURBANCES = np.geomspace(1e2, 1e-5, 22), np.geomspace(1e-8, 1e8, 33)
 _OBSERVERS, _HALVINGS = (0, 2, 4, -2, 6, -4, -6, 10), 4
 _RESERVE, _NEGLIGIBLE = 0.02, 1e-4
-_GRID, _LONGEST = 200, 3_000
 # Samples of a settling time, and those that a plan has.
 _SAMPLES, _MOVES = 100, (10, 40)
 
@@ -69,43 +67,22 @@ class PredictiveController(SampledController):
         scaled = np.linalg.solve(self.root.T, joined[:, :n].T).T
         return joined, np.asarray(scaled, np.float64)
 
-    def wanted(self, x: Array, last: float, r: float, y: float) -> float:
-        """First input of the plan within the limits that costs least."""
-        from scipy.optimize import nnls
-
-        plan = self.plan @ np.concatenate([x, [r - self.y0, y - self.y0]])
-        rows, scaled = self.rows
-        h = rows[:, -1] - rows[:, :-1] @ plan
-        if math.isfinite(self.rate):
-            # The first change is counted from the last input.
-            n = len(plan)
-            h[-2 * n] += last - self.u0
-            h[-n] -= last - self.u0
-        size = float(h.max(initial=0.0))
-        if size <= 0.0:
-            return self.u0 + float(plan[0])
-        ones = np.append(np.zeros(len(plan)), 1.0)
-        matrix = np.vstack([scaled.T, h / size])
-        try:
-            rest = ones - matrix @ nnls(matrix, ones)[0]
-        except RuntimeError:
-            return self.u0 + float(plan[0])
-        moved = np.linalg.solve(self.root, size * rest[:-1] / -max(rest[-1], 1e-12))
-        return self.u0 + float(plan[0] + moved[0])
-
     def code(self, language: Language) -> str:
         """Source of a Python class that needs NumPy and SciPy; there is no other language."""
         if language != "python":
             raise UserError("a predictive controller has code in Python only")
-        names = {one.name for one in fields(self)} - {"plan", "root"}
+        names = [one.name for one in fields(self)]
         scalars = [n for n in names if not isinstance(getattr(self, n), np.ndarray)]
         rows, scaled = self.rows
         arrays = {n: getattr(self, n) for n in ("a", "b", "plan", "root")}
-        arrays |= {"rows": rows, "scaled": scaled}
+        arrays |= {"rows": rows, "scaled": scaled, "rest": self.rest}
         lines = [f"    {n} = {getattr(self, n)!r}" for n in sorted(scalars)]
-        lines += [f"    {n} = np.array({value.tolist()})" for n, value in arrays.items()]
+        lines += [
+            f"    {n} = np.array({value.tolist()}).reshape({value.shape})"
+            for n, value in arrays.items()
+        ]
         given = "\n".join(lines).replace("= inf", "= np.inf").replace("= -inf", "= -np.inf")
-        return _CODE.format(given=given, time=self.sampling_time, order=len(self.c))
+        return _CODE.format(given=given, about=self.about)
 
 
 _CODE = '''import numpy as np
@@ -113,12 +90,12 @@ from scipy.optimize import nnls
 
 
 class Controller:
-    """Call once every {time:g} s: set point r and output y to input u."""
+    """{about}"""
 
 {given}
 
     def __init__(self, u=u0):
-        self.last, self.x = u, np.zeros({order})
+        self.last, self.x = u, self.rest * (u - self.u0)
 
     def step(self, r, y):
         seen = np.array([r - self.y0, y - self.y0])
@@ -146,25 +123,6 @@ class Controller:
 '''
 
 
-@dataclass(frozen=True)
-class _Plant:
-    """x[k+1] = A x[k] + B u[k]; the controller sees C x."""
-
-    a: Array
-    b: Array
-    c: Array
-
-    @classmethod
-    def seen(cls, model: LinearModel, *, late: bool) -> _Plant:
-        """Plant whose output does not have the input of its own sample: with `late` the controller
-        sees the output of the sample before."""
-        if not late:
-            return cls(model.a, model.b, model.c)
-        n = model.order
-        a = np.block([[model.a, np.zeros((n, 1))], [model.c, np.zeros((1, 1))]])
-        return cls(a, np.vstack([model.b, model.d]), np.append(np.zeros(n), 1.0)[None])
-
-
 def _riccati(a: Array, b: Array, q: Array, r: float) -> Array:
     from scipy.linalg import solve_discrete_are
 
@@ -172,14 +130,10 @@ def _riccati(a: Array, b: Array, q: Array, r: float) -> Array:
     return np.asarray(solve_discrete_are(a, b, q + eye, np.array([[r]])), np.float64)
 
 
-def _radius(a: Array) -> float:
-    return float(np.abs(np.linalg.eigvals(a)).max(initial=0.0))
-
-
 class _Synthesis:
     """Controllers of one plant: observers for several disturbances, regulators by weight."""
 
-    def __init__(self, plant: _Plant, pace: float) -> None:
+    def __init__(self, plant: ControlledPlant, pace: float) -> None:
         a, b, c = plant.a, plant.b, plant.c
         n = len(a)
         whole = np.block([[a - np.eye(n), b], [c, np.zeros((1, 1))]])
@@ -204,7 +158,7 @@ class _Synthesis:
             except (np.linalg.LinAlgError, ValueError):
                 continue
             gain = s @ self.row.T / (1.0 + float((self.row @ s @ self.row.T)[0, 0]))
-            radius = _radius(self.joint - self.joint @ gain @ self.row)
+            radius = spectral_radius(self.joint - self.joint @ gain @ self.row)
             if radius < 1.0 - 1e-9:
                 self.observers.append((radius, gain))
         if not self.observers:
@@ -224,7 +178,9 @@ class _Synthesis:
         gain = (b.T @ p @ a) / (weight + float((b.T @ p @ b)[0, 0]))
         closed = a - b @ gain
         # The time constants agree to 5 %.
-        radius = max(_radius(closed), min(self.observers, key=lambda one: one[0])[0]) ** 0.95
+        radius = (
+            max(spectral_radius(closed), min(self.observers, key=lambda one: one[0])[0]) ** 0.95
+        )
         equal = next((k for k, one in enumerate(self.observers) if one[0] <= radius), 0)
         last = len(self.observers) - 1
         _, estimate = self.observers[min(max(equal + observer, 0), last)]
@@ -255,72 +211,6 @@ class _Synthesis:
         return PredictiveController(**values, plan=plan, root=root)
 
 
-def sampled_loop_figures(plant: _Plant, controller: SampledController, load: float) -> LoopFigures:
-    """Compute margins at the input of the plant, and the responses to steps of the set point and of
-    a load at the input of this size, of a sampled loop without limits."""
-    n, c, d = len(plant.a), controller.c[None], controller.d
-    inner = controller.a + controller.b[:, 2:] @ c
-    into = controller.b[:, :2] + controller.b[:, 2:] * d
-    a = np.block([
-        [plant.a + d[1] * plant.b @ plant.c, plant.b @ c],
-        [into[:, 1:] @ plant.c, inner],
-    ])  # fmt: skip
-    radius = _radius(a)
-    if not radius < 1.0 - 1e-9:
-        return LoopFigures(False, 1.0, 1.0, 0.0, math.inf, math.inf, math.inf)
-    time = controller.sampling_time
-
-    def response(w: Array) -> NDArray[np.complex128]:
-        z = np.exp(1j * w * time)[:, None, None]
-        there = plant.c @ np.linalg.solve(z * np.eye(n) - plant.a, plant.b + 0j)
-        back = c @ np.linalg.solve(z * np.eye(len(inner)) - inner, into[:, 1:] + 0j) + d[1]
-        return np.asarray(-(there * back)[:, 0, 0], np.complex128)
-
-    nyquist = math.pi / time
-    w = np.geomspace(1e-5 * nyquist, nyquist, _GRID)
-    for matrix in (plant.a, inner):
-        poles = np.linalg.eigvals(matrix)
-        corners = np.abs(np.log(poles[np.abs(poles) > 1e-6] + 0j)) / time
-        w = np.append(w, np.outer(corners, (0.97, 0.99, 1.0, 1.01, 1.03)).reshape(-1))
-    w = np.unique(w[(w >= 1e-5 * nyquist) & (w <= nyquist)])
-    last = float(response(np.array([nyquist]))[0].real)
-    low, high, phase, late = margins(w, response, (last,))
-    samples = int(min(max(math.log(1e-4) / math.log(max(radius, 1e-3)), 50), _LONGEST))
-    push = np.stack([
-        np.concatenate([plant.b[:, 0] * d[0], into[:, 0]]),
-        np.concatenate([plant.b[:, 0] * load, np.zeros(len(inner))]),
-    ], axis=1)  # fmt: skip
-    x, y = np.zeros((len(a), 2)), np.empty((samples, 2))
-    for k in range(samples):
-        y[k] = plant.c[0] @ x[:n]
-        x = a @ x + push
-    one, other = (
-        response_figures(part, np.zeros(samples), replace(controller, u0=0.0, y0=0.0), 1.0)
-        for part in (y[:, 0], 1.0 + y[:, 1])
-    )
-    final = float(plant.c[0] @ np.linalg.solve(np.eye(len(a)) - a, push[:, 0])[:n])
-    return LoopFigures(True, low, high, phase, one.settling, one.overshoot, 1.0 - final, late,
-                       one.rise, load_settling=other.settling)  # fmt: skip
-
-
-def _sampled_plants(loop: Loop, wanted: Specification) -> Loop:
-    """Loop with the sampled linear model of a plant that is a transfer function."""
-    if loop.models:
-        return loop
-    if not loop.sampling_time:
-        settling = wanted.settling_max or loop.own_settling or 1.0
-        loop = replace(loop, sampling_time=float(f"{settling / _SAMPLES:.1g}"))
-    held = zero_order_hold(loop.plants[0], loop.sampling_time)
-    n, step = len(held.starts[0]), held.steps[0]
-    each = [step(one[:n], float(one[n])) for one in np.eye(n + 1)]
-    whole = np.stack([np.append(y, after) for y, after in each], axis=1)
-    model = LinearModel(
-        whole[1:, :n], whole[1:, n:], whole[:1, :n], whole[:1, n:], loop.sampling_time,
-        np.zeros(1), np.zeros(1),
-    )  # fmt: skip
-    return replace(loop, models=[minimal(model)], simulated=[replace(held, name="loop")])
-
-
 def state_feedback_designer(
     limits: Limits, *, predictive: bool = False, weights: tuple[float, float] | None = None,
     moves: int | None = None,
@@ -337,7 +227,10 @@ def state_feedback_designer(
     def designed(
         loop: Loop, wanted: Specification
     ) -> tuple[Loop, Design, list[LoopFigures], SampledController]:
-        loop, none = _sampled_plants(loop, wanted), np.zeros(0)
+        if not loop.sampling_time:
+            settling = wanted.settling_max or loop.own_settling or 1.0
+            loop = replace(loop, sampling_time=float(f"{settling / _SAMPLES:.1g}"))
+        loop, none = loop.sampled(), np.zeros(0)
         base = SampledController(none, none, none, none, loop.sampling_time, loop.u0, loop.y0,
                                  limits.low, limits.high, limits.rate)  # fmt: skip
         return loop, *_design(loop, wanted, base, predictive, weights, moves)
@@ -349,9 +242,8 @@ def _design(
     loop: Loop, wanted: Specification, base: SampledController, predictive: bool,
     weights: tuple[float, float] | None, moves: int | None,
 ) -> tuple[Design, list[LoopFigures], SampledController]:  # fmt: skip
-    late = loop.simulated[0].late
-    plants = [_Plant.seen(one, late=late) for one in loop.models]
-    first = _Plant.seen(reduced(loop.models[0], tolerance=_NEGLIGIBLE).model, late=late)
+    plants = [ControlledPlant.of(one) for one in loop.models]
+    first = ControlledPlant.of(reduced(loop.models[0], tolerance=_NEGLIGIBLE).model)
     settling = wanted.settling_max or _SAMPLES * base.sampling_time
     synthesis = _Synthesis(first, 4.0 * base.sampling_time / settling)
     # The load asks for as much input as a unit step of the set point.

@@ -26,10 +26,16 @@ class Signal:
 
     name: str
     unit: str = ""
-    role: Literal["scheduling", "time_step"] | None = None
-    """"scheduling": a measured input that the coefficients of linear models may follow.
+    role: Literal["disturbance", "scheduling", "time_step"] | None = None
+    """"disturbance": a measured input that nobody sets, such as the weather.
+    "scheduling": a measured input that the coefficients of linear models may follow.
     "time_step": an input that holds the time in s from each sample to the next, of records that are
     not sampled regularly."""
+
+    @property
+    def is_actuated(self) -> bool:
+        """Whether somebody sets this input."""
+        return self.role not in ("disturbance", "time_step")
 
     @property
     def label(self) -> str:

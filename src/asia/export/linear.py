@@ -120,7 +120,7 @@ class LinearRun:
 
 def linearize(
     run: Run | Path | str,
-    at: Sequence[str] = (),
+    at: Sequence[str | Array] = (),
     model: str | None = None,
     *,
     isolation: Isolation | None = None,
@@ -129,8 +129,9 @@ def linearize(
 
     Args:
         run: an opened run or its folder
-        at: `u=VALUES` (inputs held, one number an input), `y=VALUES` (outputs to reach), or
-            `start` (first training sample, not at rest); default: the mean training inputs
+        at: `NAME=VALUE,...` (inputs held, the others at their means in training, or all outputs to
+            reach; `u` and `y` name a single one), `start` (first training sample, not at rest), or
+            inputs (nu,); default: the mean training inputs
         model: `refit`, or the number of an experiment, whose first fold model is linearised;
             default: the refit, without one the best experiment. The mean of several models has
             the states of all, so it is not linearised.
@@ -172,7 +173,12 @@ def linearize(
     apart = np.concatenate(changes)
     noise = np.array([np.std(one[np.isfinite(one)]) / np.sqrt(2.0) for one in apart.T])
     points: list[LinearPoint] = []
-    for name in at or ("mean",):
+    signals = problem.inputs, problem.outputs
+    for asked in at or ("mean",):
+        name = asked
+        if not isinstance(name, str):
+            pairs = zip(problem.inputs, name, strict=True)
+            name = ",".join(f"{s.name}={v:g}" for s, v in pairs)
         if name == "start":
             x, u = starts(own)[0], windows[0][2][0]
             y = evaluate(own.output, [*split(own, x), u])[0]
@@ -180,7 +186,7 @@ def linearize(
             others = [(one, OperatingPoint(starts(one)[0], u, y, float("nan"))) for one in folds]
             points.append(_point(name, point, own, others, problem.sampling_time, rests=False))
             continue
-        u, y = _asked(name, mean, own)
+        u, y = (asked, None) if not isinstance(asked, str) else _asked(name, mean, signals)
         there = operating_points(own, starts(own), u, y)
         if not there:
             x = settle(own, starts(own)[0], u, _WALK)
@@ -289,22 +295,30 @@ def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:
     ]
 
 
-def _asked(name: str, mean: Array, model: LoweredModel) -> tuple[Array, Array | None]:
+def _asked(
+    text: str, mean: Array, signals: tuple[Sequence[Signal], Sequence[Signal]]
+) -> tuple[Array, Array | None]:
     """Inputs, and outputs where these are asked for."""
-    if name == "mean":
+    if text == "mean":
         return mean, None
-    side, _, text = name.partition("=")
-    try:
-        values = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        values = np.zeros(0)
-    count = {"u": model.nu, "y": model.ny}.get(side)
-    if count is None or len(values) != count or not np.isfinite(values).all():
-        raise UserError(
-            f"--at is '{name}', expected start, u= with {model.nu} or y= with {model.ny} numbers "
-            "separated by commas, such as u=2.5"
-        )
-    return (values, None) if side == "u" else (mean, values)
+    names = [[one.name for one in side] for side in signals]
+    short = {s: side[0] for s, side in zip("uy", names, strict=True) if len(side) == 1}
+    values: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, value = part.rpartition("=")
+        name = name.strip() if name.strip() in (*names[0], *names[1]) else short.get(name, "")
+        try:
+            values[name] = float(value)
+        except ValueError:
+            values[""] = np.nan
+    if set(values) <= set(names[0]) and np.isfinite(list(values.values())).all():
+        return np.array([values.get(n, m) for n, m in zip(names[0], mean, strict=True)]), None
+    if set(values) == set(names[1]) and np.isfinite(list(values.values())).all():
+        return mean, np.array([values[name] for name in names[1]])
+    raise UserError(
+        f"--at is '{text}', expected start, inputs ({', '.join(names[0])}) or all outputs "
+        f"({', '.join(names[1])}), such as {names[0][0]}=2.5"
+    )
 
 
 def _point(

@@ -298,6 +298,9 @@ class Exported:
     """Paths of all files."""
     parity: tuple[ParityRow, ...]
     """Comparison with ASIA's own simulation, one row a variant."""
+    sampling_time: float
+    """Time in s from one step of the files to the next."""
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -375,7 +378,10 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
         facts["sizes"] = printed.sizes
     files["model.json"] = (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode()
     _put(folder, files)
-    return Exported(one.name, folder, tuple(folder / name for name in files), tuple(parity))
+    return Exported(
+        one.name, folder, tuple(folder / name for name in files), tuple(parity),
+        ready.model.sampling_time, ready.model.notes,
+    )  # fmt: skip
 
 
 def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None) -> Ready:

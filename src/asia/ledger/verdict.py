@@ -11,10 +11,11 @@ from asia.data.trajectory import Array
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.bands import KNOWN_WITHIN
 from asia.judge.scoring.checks.check import ALARM_RATE, Verdict
+from asia.judge.scoring.confirmation import FAR_ABOVE_V
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import StressTest, TestedModel
 from asia.ledger.run import model_to_use, tested_model
-from asia.ledger.view import BELOW_TRUTH, FAR_ABOVE_V, SearchView
+from asia.ledger.view import BELOW_TRUTH, SearchView
 
 
 class Level(NamedTuple):

@@ -41,10 +41,6 @@ from asia.ledger.events import (
     Validated,
 )
 
-FAR_ABOVE_V = 3.0
-"""Test error over V, both normalised, from which on V is no measure of a model. In 12 honest
-searches on six measured systems (the development zoo in benchmarks/RESULTS.md) it is 0.83 to 2.3;
-in the two on `ph`, whose models fail on the test, 24 and 50."""
 DIVERGED_V = 10.0
 """V from which on a simulation counts as diverged; the mean of the outputs has about 1."""
 BELOW_TRUTH = 0.98

@@ -485,10 +485,10 @@ def refit_winner(
     ):
         members = [view.experiment(m.experiment) for m in refitted.stack.members]
         wrong = {e.number for e in members if not is_sound(e)}
-        if not wrong:
+        if not wrong and gate.confirms_stack(refitted.stack, best, view):
             break
         refused |= wrong
-        refitted = replace(refitted, stack=stacked(refused))
+        refitted = replace(refitted, stack=stacked(refused) if wrong else None)
         chosen = choose_model(FinalEvidence.of(best, refitted))
     refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):

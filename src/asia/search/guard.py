@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,13 +18,15 @@ from asia.judge.scoring.confirmation import Confirmation, guard_gain, share_gain
 from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
 from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.artifacts import Store
-from asia.ledger.events import GuardLooked, GuardScore
+from asia.ledger.events import GuardLooked, GuardScore, Stack, StackMember
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Block, whole
 from asia.problem.problem import Problem
 from asia.problem.seal import open_guard
 
 NEW_BESTS = 3
+_LARGEST = 1e6
+"""Largest ratio that is recorded: an exact V has none."""
 Simulation = tuple[Array, ...]
 
 
@@ -60,41 +62,47 @@ class Gate:
         score = evaluation.outcome
         if not view.started.gate or not view.finished or not isinstance(score, Score):
             return None
-        since, before = self._before(view)
+        since, before = self._counted_from(view.bests[-1:], view)
         if before is None:
             return None
-        found = Confirmation(since, share_gained(before, score.value))
         try:
             sequential = self._sequential(source, evaluation.folds, view)
-            guard = None
+            y_hat = None
             if view.started.guard_digest is not None:
                 models = [fold.model for fold in evaluation.folds]
-                guard = simulated(self.evaluator, source, models, self._blocks)
+                y_hat = simulated(self.evaluator, source, models, self._blocks)
+            found = self._judged(since, before, score.value, y_hat, view)
         except CandidateError as error:
-            return Confirmation(since, found.gain, detail=error.reason.value)
-        return Confirmation(
-            since,
-            found.gain,
-            None if guard is None else self._gain(self._simulation(since, view), guard),
-            None if sequential is None else share_gained(before, sequential),
-        )
+            gain = share_gained(before, score.value)
+            return Confirmation(since, gain, detail=error.reason.value)
+        if sequential is None:
+            return found
+        return replace(found, sequential=share_gained(before, sequential))
 
     def admits(self, e: Experiment, best: Experiment, view: SearchView) -> bool:
         """Return whether a candidate that was no new best may be handed over beside the best one:
         on the guard records it may be worse by half of what it is worse in V."""
-        if not view.started.gate or e.score is None or best.score is None or e.result is None:
-            return True
-        if e.result.status == "unconfirmed":
+        if e.result is not None and e.result.status == "unconfirmed":
             return False
-        if view.started.guard_digest is None:
+        alone = Stack((StackMember(e.number, 1.0),), e.score.value if e.score else 0.0, ())
+        return self.confirms_stack(alone, best, view)
+
+    def confirms_stack(self, stack: Stack, best: Experiment, view: SearchView) -> bool:
+        """Return whether the guard records confirm the gain in V of a stack over the best
+        candidate: members that are worse alone can hold each other's errors with another sign."""
+        if view.started.guard_digest is None or not view.started.gate or best.score is None:
             return True
         try:
-            gain = self._gain(self._simulation(best.number, view), self._simulation(e.number, view))
+            simulations = [self._simulation(m.experiment, view) for m in stack.members]
+            weights = [m.weight for m in stack.members]
+            y_hat = tuple(
+                np.tensordot(weights, np.stack(each), axes=1)
+                for each in zip(*simulations, strict=True)
+            )
+            found = self._judged(best.number, best.score.value, stack.value, y_hat, view)
         except CandidateError:
             return False
-        return Confirmation(
-            best.number, share_gained(best.score.value, e.score.value), gain
-        ).confirmed
+        return found.confirmed
 
     def look(self, view: SearchView) -> GuardLooked:
         """Score the last three new bests on the guard records when the search ends, and compare
@@ -108,21 +116,33 @@ class Gate:
         values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]
         pick = min(values)[1] if values else None
         total, best = None, bests[-1]
-        since, before = self._before(view, bests[-1])
+        since, before = self._counted_from([e for e in view.bests[:1] if e != best], view)
         if isinstance(scores[-1].outcome, Score) and best.score is not None and before is not None:
-            gain = self._gain(self._simulation(since, view), self._simulation(best.number, view))
-            total = Confirmation(since, share_gained(before, best.score.value), gain)
+            y_hat = self._simulation(best.number, view)
+            total = self._judged(since, before, best.score.value, y_hat, view)
         return GuardLooked(1 + (last.look if last else 0), scores, pick, total=total)
 
-    def _before(
-        self, view: SearchView, final: Experiment | None = None
+    def _counted_from(
+        self, bests: Sequence[Experiment], view: SearchView
     ) -> tuple[int, float | None]:
-        """Number and V of what a gain is counted from: the best so far, or, for the whole gain of
-        the final best, the first one; the training mean where there is no other."""
-        bests = view.bests if final is None else view.bests[:1]
-        if bests and bests[-1] != final and bests[-1].score is not None:
-            return bests[-1].number, bests[-1].score.value
+        """Number and V of what a gain is counted from: this best; the training mean for none."""
+        if bests and bests[0].score is not None:
+            return bests[0].number, bests[0].score.value
         return 0, view.reference_value(MEAN_REFERENCE)
+
+    def _judged(
+        self, since: int, before: float, value: float, y_hat: Simulation | None, view: SearchView
+    ) -> Confirmation:
+        """Compare a gain in V with that of a simulation of the guard records. Raises
+        CandidateError."""
+        gain = share_gained(before, value)
+        if y_hat is None:
+            return Confirmation(since, gain)
+        first, highest = self._counted_from(view.bests[:1], view)
+        left = 1.0 - self._gain(self._simulation(first, view), y_hat).value
+        apart = left * (highest or before) / value if value > 0.0 else np.inf
+        found = self._gain(self._simulation(since, view), y_hat)
+        return Confirmation(since, gain, found, apart=float(min(apart, _LARGEST)))
 
     def _sequential(
         self, source: str, folds: Sequence[FoldResult], view: SearchView

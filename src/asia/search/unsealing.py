@@ -21,7 +21,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use
 from asia.ledger.exports import write_exports
-from asia.ledger.looks import copy_words, look_by_copy, look_of, looks_at, record_look
+from asia.ledger.looks import record_look
 from asia.ledger.run import model_to_use
 from asia.ledger.verification import check_lock, verify
 from asia.ledger.view import Experiment, SearchView
@@ -56,7 +56,8 @@ class UnsealResult:
     first_time: bool
     """False when this run had been unsealed before."""
     opened_before: tuple[str, ...]
-    """The other runs known to this user that had opened the same test before, with the time."""
+    """The looks at the same test before that this user's folder and the neighbours of the run know,
+    with the time."""
 
 
 def unseal(
@@ -107,17 +108,12 @@ def unseal(
         problem = load_lock(directory / LOCK)
         verify(directory, check=ScoreCheck(directory, problem))
         check_openable(problem, keys)
-        look = look_of(directory)
-        if (copy := look_by_copy(directory, view)) is not None:
-            raise UserError(
-                f"{copy_words(run, copy)}: nothing was opened; that copy has the result"
-            )
-        others = looks_at(digest, directory)
-        before = tuple(one.words for one in others if one.origin != look.origin)
         if view.unsealing is None:
+            # In this order a crash between the two hides no look.
+            before = record_look(digest, directory)
             chain.append(Unsealing(best.number, digest, before, consented))
-        if not record_look(digest, look) and view.unsealing is None:
-            raise UserError(f"the test of run '{run}' is being opened by a copy of it")
+        else:
+            before = view.unsealing.opened_before
         evaluator = make_evaluator(problem, view, isolation=level, controllers=True)
         event = _score(directory, view, best, evaluator, problem, open_test(problem, keys))
         chain.append(event)

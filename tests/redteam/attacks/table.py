@@ -1,6 +1,7 @@
 """All attacks, in the order of their numbers. A number is never given twice."""
 
 from tests.redteam.attacks.answers import RELATIONS
+from tests.redteam.attacks.copies import COPIES
 from tests.redteam.attacks.limits import LIMITS
 from tests.redteam.attacks.probing import PROBING, STATISTICS
 from tests.redteam.attacks.scores import SCORES
@@ -10,7 +11,7 @@ from tests.redteam.types import Attack
 
 ATTACKS: tuple[Attack, ...] = tuple(
     sorted(
-        (*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS, *LIMITS, *STATISTICS),
+        (*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS, *LIMITS, *STATISTICS, *COPIES),
         key=lambda attack: attack.number,
     )
 )

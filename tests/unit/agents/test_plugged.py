@@ -103,7 +103,7 @@ def plug(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
     def brought(group: str, name: str, target: str) -> None:
         part = Part(group, name, target, "plugged", "1.0")
-        monkeypatch.setattr(plugins, "parts", lambda: (part,))
+        monkeypatch.setattr(plugins, "_all_parts", lambda: (part,))
         for cached in caches:
             cached.cache_clear()
 

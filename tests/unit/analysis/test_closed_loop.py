@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from asia.analysis.certificate_check import check_certificate, digest
-from asia.analysis.closed_loop import certify_loop, closed_loop, loop_start
+from asia.analysis.closed_loop import certify_loop, closed_loop, loop_start, single_loop
 from asia.analysis.control import (
     Loop,
     SampledController,
@@ -22,8 +22,8 @@ from asia.analysis.control import (
 )
 from asia.errors import UserError
 from asia.lowering.evaluation import evaluate
-from asia.lowering.linear import joined, split
-from asia.lowering.program import LoweredModel
+from asia.lowering.linear import OperatingPoint, joined, split
+from asia.lowering.program import Builder, LoweredModel
 from tests.unit.analysis.test_certificate import linear, tank
 
 A, B, C = np.array([[0.9, 0.1], [0.0, 0.7]]), np.array([[0.0], [0.3]]), np.array([[1.0, 0.0]])
@@ -37,12 +37,12 @@ FACTS: dict[str, Any] = {
 INPUTS = np.array([[-0.5, 1.0], [-0.1, 0.1], [-0.02, 0.02]])
 
 
-def simulated(name: str, model: LoweredModel, *, late: bool = False) -> SimulatedPlant:
+def simulated(name: str, model: LoweredModel) -> SimulatedPlant:
     def step(x: np.ndarray, u: float) -> tuple[float, np.ndarray]:
         y, *after = evaluate(model.step, [*split(model, x), np.array([u])])
         return float(y[0]), joined(after)
 
-    return SimulatedPlant(name, [step], [np.zeros(2)], late, [model])
+    return SimulatedPlant(name, [step], [np.zeros(2)], [model])
 
 
 def loop_of(*plants: SimulatedPlant) -> Loop:
@@ -58,20 +58,37 @@ def outputs(model: LoweredModel, start: np.ndarray, inputs: np.ndarray) -> np.nd
     return np.stack(found)
 
 
-@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("model", [tank(), PLANT, linear(A, B, C, 0.2)])
 @pytest.mark.parametrize(
     "limits", [{}, {"limits": (-0.3, 0.4), "rate": 0.15}], ids=["free", "limited"]
 )
-def test_the_closed_loop_is_the_simulated_one(late: bool, limits: dict[str, Any]) -> None:
+def test_the_closed_loop_is_the_simulated_one(model: LoweredModel, limits: dict[str, Any]) -> None:
     controller = sampled(PI, 1.0, **limits)
-    plant = simulated("loop", tank() if late else PLANT, late=late)
+    plant = simulated("loop", model)
     rng = np.random.default_rng(0)
     r, noise = np.repeat(rng.uniform(-1, 1, 8), 10), 0.05 * rng.standard_normal(80)
     y, u = simulate_loop(controller, plant, r, noise)
-    model = closed_loop(plant.lowered[0], controller, late=late, limited=True)
-    found = outputs(model, loop_start(plant, controller), np.stack([r, 0 * r, noise], axis=1))
+    loop = closed_loop(plant.lowered[0], controller, limited=True)
+    found = outputs(loop, loop_start(plant, controller), np.stack([r, 0 * r, noise], axis=1))
     assert found[:, 0] == pytest.approx(y, abs=1e-12)
     assert found[:, 1] == pytest.approx(u, abs=1e-12)
+
+
+def test_a_pair_of_a_larger_model_holds_the_other_inputs() -> None:
+    build = Builder(((2,), (3,)))
+    drive = build.constant(np.array([[0.1, 0.2, 0.3], [0.0, 0.5, -0.4]]))
+    moved = build.add("matmul", (drive, build.add("reshape", (1,), (3, 1))))
+    kept = build.add("mul", (build.constant(np.array([0.9, 0.5])), 0))
+    after = build.add("add", (kept, build.add("reshape", (moved,), (2,))))
+    start = Builder(((0, 3), (0, 2), (3,)))
+    plant = LoweredModel(0, 0, 3, 2, False, start.program([start.constant(np.zeros(2))]),
+                         build.program([0, after]))  # fmt: skip
+    at = OperatingPoint(np.array([0.3, -0.2]), np.array([1.0, 2.0, 3.0]), np.zeros(2), 0.0)
+    one = single_loop(plant, at, 1, 0)
+    one.check()
+    u = np.random.default_rng(0).standard_normal(20)
+    whole = outputs(plant, at.x, np.stack([u, np.full(20, 2.0), np.full(20, 3.0)], axis=1))
+    assert outputs(one, at.x, u[:, None])[:, 0] == pytest.approx(whole[:, 1], abs=1e-12)
 
 
 def certified(
@@ -91,7 +108,7 @@ def test_random_runs_stay_within_what_is_proven() -> None:
     for plant, kind in ((simulated("loop", PLANT), "limits"), (simulated("tanks", tank()), "tube")):
         content = certified(controller, plant)
         proven = next(s for s in content["loops"][-1]["statements"] if s["kind"] == kind)
-        model = closed_loop(plant.lowered[0], controller, late=False, limited=True)
+        model = closed_loop(plant.lowered[0], controller, limited=True)
         rng, runs = np.random.default_rng(1), []
         for _ in range(40):
             share = np.repeat(rng.integers(0, 2, (2 if kind == "tube" else 30, 3)), 10, axis=0)

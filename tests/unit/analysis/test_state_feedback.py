@@ -29,7 +29,7 @@ from asia.analysis.state_feedback import PredictiveController, state_feedback_de
 from asia.errors import UserError
 from asia.lowering.linear import LinearModel
 from tests.unit.interfaces.cli.conftest import command_line
-from tests.unit.interfaces.cli.test_control import c_step, python_step, st_step
+from tests.unit.interfaces.cli.test_control import c_step, matrix_step, python_step, st_step
 
 WANTED = Specification(2.0, 45.0, None, 8.0, 10.0, 1e-3)
 LAGS = Transfer(np.array([2.0]), np.array([1.0, 1.2, 1.0]), 0.13)
@@ -122,7 +122,9 @@ def test_a_plan_is_optimal_within_the_limits() -> None:
                 "fun": lambda v, last=last: 0.3 - np.abs(np.diff(v, prepend=last)),
             },
         )  # fmt: skip
-        u = one.wanted(x, last, 1.0, y)
+        code = one.started()
+        code.x, code.last = x, last
+        u = code.step(1.0, y)
         assert u == pytest.approx(found.x[0], abs=1e-4)
         active += abs(u - plan[0]) > 1e-3
     assert active >= 5
@@ -147,10 +149,12 @@ def test_a_plant_without_static_gain_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["lqr", "mpc"])
-def test_an_output_that_has_the_input_of_its_own_sample_is_seen_late(kind: str) -> None:
+def test_an_output_that_has_the_input_of_its_own_sample_is_controlled(kind: str) -> None:
     made = designed(Transfer(np.array([1.0, 2.0]), np.array([1.0, 1.0])), kind)
-    assert made.loop.simulated[0].late
     assert made.missed == []
+    one, other = made.figures[0], made.judged[0]
+    assert one.settling == pytest.approx(other.settling)
+    assert one.overshoot == pytest.approx(other.overshoot, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -173,13 +177,14 @@ def test_code_gives_the_inputs_of_the_simulation(
     )
     code = design_in_simulation(loop, WANTED, designer).controller
     step = made(tmp_path, code)
-    x, last = np.zeros(len(code.c)), code.u0
+    known = code.started().step if kind == "mpc" else matrix_step(code)
     seen: list[float] = []
     for r, y in np.random.default_rng(0).normal(-1.5, 1.0, (200, 2)):
-        x, last = code.step(x, last, float(r), float(y))
-        assert step(float(r), float(y)) == pytest.approx(last, abs=1e-9)
-        seen.append(last)
+        seen.append(known(float(r), float(y)))
+        assert step(float(r), float(y)) == pytest.approx(seen[-1], abs=1e-9)
     assert np.std(seen) > 1e-3
+    started = code.started(1.0)
+    assert [started.step(-1.5, -1.5) for _ in range(30)] == pytest.approx([1.0] * 30, abs=1e-6)
 
 
 def test_the_command_designs_and_writes_them(tmp_path: Path) -> None:

@@ -152,11 +152,18 @@ def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> No
     np.testing.assert_allclose(found, given.windows[0].y_hat[:10], rtol=1e-9, atol=1e-9)
     assert NU == NY == 2
     head, *rows = (tmp_path / "example.csv").read_text().splitlines()
+    timed = "\n".join([f"time,{head}", *(f"{0.5 * k},{row}" for k, row in enumerate(rows))])
+    (tmp_path / "timed.csv").write_text(timed)
+    again = subprocess.run(
+        ["./model", "timed.csv"], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    assert again.stdout == done.stdout
     for text, message in (
         (
-            "\n".join([f"time,{head}", *(f"0,{row}" for row in rows)]),
-            f"expected the columns {head}",
+            "\n".join([f"time,{head}", *(f"{0.1 * k},{row}" for k, row in enumerate(rows))]),
+            "rows 1 and 2 are 0.1 s apart, the model steps every 0.5 s",
         ),
+        ("\n".join([f"other,{head}", *(f"0,{row}" for row in rows)]), f"the columns {head}"),
         ("\n".join([head, *rows]).replace(",", ";"), f"expected the columns {head}"),
         (f"{head}\n{rows[0]}\n", "rows of numbers, found 1"),
     ):

@@ -3,11 +3,13 @@ ledger that was written anew to weaken whoever opens it."""
 
 from __future__ import annotations
 
-import json
+import os
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from asia.interfaces.workspace.process import SearchRequest
+from asia.interfaces.workspace.workspace import write_folder
 from asia.ledger.chain import BEGIN, Chain, encode, read_lines
 from asia.ledger.events import Event, Refitted, Started
 from asia.problem.load import load_problem
@@ -178,6 +180,61 @@ def name_code(problem: Path, folder: Path) -> None:
     (folder / "problem.toml").write_text(f"{text}{loop}")
 
 
-def as_json(text: str) -> object:
-    """The last line of an answer."""
-    return json.loads(text.strip().splitlines()[-1])
+def name_code_in_run(run: Path) -> None:
+    """The lock of a run, and what its user asked of a search, name code; a candidate waits."""
+    lock = run / "problem.lock.toml"
+    lock.write_text(f'{lock.read_text()}[loop]\nreference = "u"\ncontroller = "controller:run"\n')
+    ask_for_more(run)
+
+
+def ask_for_more(run: Path) -> None:
+    """The request of a run names an agent class and the weakest level."""
+    request = SearchRequest(
+        "named", "hostile_agent:Hostile", 0, 4, None, None, "process",
+        settings={"class": "hostile_agent:Hostile"},
+    )  # fmt: skip
+    request.save(run)
+    (run / "control" / "queue").mkdir(exist_ok=True)
+    for name in ("1.json", "1.py", "note-1.txt"):
+        (run / "control" / "queue" / name).write_text("import controller")
+
+
+def plant_all(here: Path, received: HostileRun) -> HostileRun:
+    """A copy of the run in `runs`, problems in `named`, `problem` and the folder itself, and files
+    named like modules everywhere."""
+    here.mkdir(exist_ok=True)
+    plant_agent(here, received.marks)
+    shutil.copytree(received.problem, here / "problem")
+    name_code(received.problem, here / "named")
+    shutil.copytree(here / "named", here, dirs_exist_ok=True)
+    copy = received.copy(here / "runs")
+    for folder in (here, here / "named", here / "problem", copy.directory):
+        plant_modules(folder, received.marks)
+    plant_modules(copy.directory / "artifacts", received.marks)
+    ask_for_more(copy.directory)
+    return copy
+
+
+def make_hostile_workspace(root: Path, received: HostileRun) -> Path:
+    """A workspace after its agent: each of its files carries code or names code, and links and
+    pipes lie beside them."""
+    outside = root / "outside"
+    outside.mkdir()
+    (outside / "notes").write_text("the-secret of the user")
+    made = root / "work"
+    own = received.copy(root / "runs")
+    write_folder(made, load_problem(received.problem), 2, own.directory)
+    plant_all(made, received)
+    source = hostile_source(received.marks, received.home)
+    for name in ("candidate.py", "best.py"):
+        (made / name).write_text(source)
+    for name in ("tools.py", "plot.py"):
+        (made / name).write_text(MARK.format(marks=str(received.marks)))
+    for name in ("models.md", "description.md"):
+        (made / name).unlink()
+        (made / name).symlink_to(outside / "notes")
+    (made / "PROGRAM.md").unlink()
+    os.mkfifo(made / "PROGRAM.md")
+    os.mkfifo(made / "data" / "pipe.csv")
+    (made / "link").symlink_to(outside)
+    return made

@@ -1,14 +1,15 @@
-"""Opens hostile folders, of a run and of problems, with every command and every Python entry:
-nothing of them executes outside the sandbox. SECURITY.md has the table of what each executes."""
+"""Opens hostile folders, of a run, of problems and of a workspace, with every command and every
+Python entry: nothing of them executes outside the sandbox. SECURITY.md has the table of what each
+executes."""
 
 from __future__ import annotations
 
 import ast
 import re
 import shlex
-import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from starlette.testclient import TestClient
 from typer.core import TyperGroup
 
 import asia
+from asia import _plugins
 from asia.analysis.ablation import ablate
 from asia.analysis.confirmation import confirm
 from asia.analysis.validation import validate
@@ -34,23 +36,28 @@ from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation
 from asia.search.replay import replay_run
 from tests.unit.interfaces.cli.conftest import command_line
+from tests.unit.painting import unpainted
 from tests.unit.received.hostile import (
     HostileRun,
     make_hostile_run,
-    name_code,
-    plant_agent,
-    plant_modules,
+    make_hostile_workspace,
+    name_code_in_run,
+    plant_all,
 )
 from tests.unit.search.toy import arx
 
 ROOT = Path(__file__).parents[3]
 SRC = ROOT / "src" / "asia"
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(
-        not LEVELS[probe().level].confined, reason="no level of this machine confines a candidate"
-    ),
-]
+confined = pytest.mark.skipif(
+    not LEVELS[probe().level].confined, reason="no level of this machine confines a candidate"
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def unpainted_pictures() -> Iterator[None]:
+    """Pictures are painted from numbers; to paint them takes longer than all the rest."""
+    with unpainted():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -64,19 +71,35 @@ def received(tmp_path_factory: pytest.TempPathFactory) -> HostileRun:
 def gift(received: HostileRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> HostileRun:
     """A copy in the current folder, where the agent class lies too."""
     here = tmp_path / "here"
-    here.mkdir()
-    plant_agent(here, received.marks)
-    shutil.copytree(received.problem, here / "problem")
-    name_code(received.problem, here / "named")
-    shutil.copytree(here / "named", here, dirs_exist_ok=True)
-    for folder in (here, here / "named", here / "problem"):
-        plant_modules(folder, received.marks)
-    monkeypatch.chdir(here)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.delenv("ASIA_RUNS", raising=False)
-    copy = received.copy(here / "runs")
-    plant_modules(copy.directory, received.marks)
-    plant_modules(copy.directory / "artifacts", received.marks)
+    copy = plant_all(here, received)
+    monkeypatch.chdir(here)
     return copy
+
+
+@pytest.fixture
+def named_lock(gift: HostileRun) -> HostileRun:
+    """The lock of the run names code, and so do files of its control folder."""
+    name_code_in_run(gift.directory)
+    return gift
+
+
+@pytest.fixture(scope="module")
+def taken(received: HostileRun, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A workspace whose agent planted all of this in it, and changed each file that it was given;
+    its run lies outside."""
+    root = tmp_path_factory.mktemp("taken")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(root / "config"))
+        yield make_hostile_workspace(root, received)
+
+
+@pytest.fixture
+def workspace(taken: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(taken)
+    monkeypatch.delenv("ASIA_RUNS", raising=False)
+    return taken
 
 
 def series(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -109,12 +132,12 @@ COMMANDS: tuple[tuple[str, str | None, tuple[int, ...]], ...] = (
     ("validate gift", "asia validate", DONE),
     ("validate gift --repeat --top 1 --seeds 1", "asia validate --repeat", DONE),
     ("validate gift --ablate --seeds 1", "asia validate --ablate", DONE),
-    ("linear gift", "asia linear", ANY),
-    ("control gift --settling 20", "asia control", ANY),
-    ("monitor gift problem/test.csv", "asia monitor", ANY),
-    ("certify gift", "asia certify", ANY),
-    ("next gift --duration 20", "asia next", ANY),
-    ("extend gift problem/test.csv --experiments 2", "asia extend", ANY),
+    ("linear gift", "asia linear", REFUSED),
+    ("control gift --settling 20", "asia control", REFUSED),
+    ("monitor gift problem/test.csv", "asia monitor", REFUSED),
+    ("certify gift", "asia certify", REFUSED),
+    ("next gift --duration 20", "asia next", DONE),
+    ("extend gift problem/test.csv --experiments 3", "asia extend", ANY),
     ("export gift --to numpy", "asia export", REFUSED),
     ("unseal gift --yes", "asia unseal", REFUSED),
     ("unseal gift --yes --yes-process", "asia unseal", DONE),
@@ -122,17 +145,19 @@ COMMANDS: tuple[tuple[str, str | None, tuple[int, ...]], ...] = (
     ("note gift hello", None, DONE),
     ("query 'select *, source(run, number) from experiments'", None, DONE),
     ("agent workspace named made", None, REFUSED),
+    ("agent workspace problem made --name gift", None, REFUSED),
     ("agent mcp named", None, REFUSED),
-    ("agent config claude named", None, ANY),
-    ("agent check --base-url http://127.0.0.1:9/v1 --model none --steps 1", None, ANY),
+    ("agent mcp problem --name gift", None, REFUSED),
+    ("agent config claude named", None, REFUSED),
+    ("agent check --base-url none --model none --steps 1", None, REFUSED),
     ("agent try --dir problem --dry-run", None, REFUSED),
     ("try --dir problem --dry-run", None, REFUSED),
     ("bench paper named", None, REFUSED),
     ("bench suite --only named", None, REFUSED),
     ("bench agents named", None, REFUSED),
     ("doctor", None, DONE),
-    ("models --problem named", None, REFUSED),
-    ("models --problem problem", None, DONE),
+    ("models arx --problem named", None, REFUSED),
+    ("models arx --problem problem", None, DONE),
     ("demo", None, DONE),
 )
 SERVED = {"view"}
@@ -154,6 +179,8 @@ def test_every_command_is_tried() -> None:
     assert known - tried == SERVED
 
 
+@confined
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "row", "codes"), COMMANDS, ids=[c[0] for c in COMMANDS])
 def test_no_command_executes_it_outside_the_sandbox(
     words: str, row: str | None, codes: tuple[int, ...], gift: HostileRun
@@ -164,9 +191,31 @@ def test_no_command_executes_it_outside_the_sandbox(
     assert gift.marked == []
 
 
-@pytest.mark.parametrize(
-    "words", ["check .", "check problem", "status gift", "report gift", "validate gift"]
-)
+@confined
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [words for words, *_ in COMMANDS])
+def test_no_command_executes_a_workspace(words: str, workspace: Path, received: HostileRun) -> None:
+    """The agent's run, problems and files, opened from its folder by the user, outside the jail."""
+    done = command_line(*shlex.split(words))
+    assert done.code in ANY, done.err
+    assert "Traceback" not in done.err
+    assert "the-secret" not in done.out + done.err
+    assert received.marked == []
+
+
+@confined
+@pytest.mark.slow
+def test_no_command_executes_what_a_lock_names(named_lock: HostileRun) -> None:
+    for words, *_ in COMMANDS:
+        if "gift" in words and not words.startswith(("steer", "note")):
+            done = command_line(*shlex.split(words))
+            assert "Traceback" not in done.err
+            assert named_lock.marked == [], words
+
+
+@confined
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ["check .", "report gift", "validate gift"])
 def test_no_process_of_a_command_imports_from_the_current_folder(
     words: str, gift: HostileRun
 ) -> None:
@@ -239,6 +288,8 @@ ENTRIES: tuple[tuple[str | None, Callable[[HostileRun], object]], ...] = (
 )
 
 
+@confined
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("row", "enter"), ENTRIES, ids=[f"{k} {e[0]}" for k, e in enumerate(ENTRIES)]
 )
@@ -249,10 +300,24 @@ def test_no_function_executes_it_outside_the_sandbox(
     assert gift.marked == []
 
 
-def test_the_marks_appear_without_the_principle(gift: HostileRun, tmp_path: Path) -> None:
+@confined
+@pytest.mark.slow
+def test_the_marks_appear_without_the_principle(
+    gift: HostileRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same candidate at the level that its ledger names, which a user has to ask for; the same
-    agent once it is trusted."""
+    agent once it is trusted; the same problem where a reader looks up what its file names."""
+
+    def obedient(path: Path, schema: object) -> None:
+        monkeypatch.syspath_prepend(path.parent)
+        table = tomllib.loads(path.read_text("utf-8"))
+        _plugins.load_target(table["loop"]["controller"], "controller")
+
     try:
+        with monkeypatch.context() as patch:
+            patch.setattr("asia.problem.load.read_table", obedient)
+            command_line("check", "named")
+        assert gift.marked == ["module"]
         asia.simulate(gift.directory, *series(5), isolation=Isolation.PROCESS)
         assert {"import", "unpickle", "simulate"} <= set(gift.marked)
         done = command_line(
@@ -262,11 +327,14 @@ def test_the_marks_appear_without_the_principle(gift: HostileRun, tmp_path: Path
         assert "with your rights" in done.err
         assert {"agent", "fit"} <= set(gift.marked)
     finally:
+        sys.modules.pop("controller", None)
         for place in (gift.marks, gift.home):
             for path in place.iterdir():
                 path.unlink()
 
 
+@confined
+@pytest.mark.slow
 def test_the_search_goes_on_at_the_level_the_user_asks_for(gift: HostileRun) -> None:
     """The forged ledger says `process`; the command says nothing, which is the strongest."""
     done = command_line(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import pytest
 from asia._files import config_folder
 from asia.errors import UserError
 from asia.ledger import looks
-from asia.ledger.chain import BEGIN, encode, read_lines
-from asia.ledger.events import Started, Unsealing
+from asia.ledger.chain import BEGIN, Line, encode, read_lines
+from asia.ledger.events import Started
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.search.run import prepare, search
@@ -57,19 +58,17 @@ def test_a_copy_opens_the_test_and_the_original_says_so(finished: Path, tmp_path
     page = (finished / "report" / "report.html").read_text("utf-8")
     assert "was opened by a copy, copy on 20" in page
     assert "never opened" not in page
+    assert str(copy.parent) not in page
     # The copy itself prints its result again.
     assert not unseal(copy, process_consent=True).first_time
 
 
-@pytest.mark.parametrize("again", ["same place", "after removal", "copy beside", "moved"])
+@pytest.mark.parametrize("again", ["same place", "copy beside", "moved"])
 def test_no_copy_of_a_run_is_opened_twice(finished: Path, tmp_path: Path, again: str) -> None:
     first = copied(finished, tmp_path / "elsewhere" / "one")
     opened(first)
     second = tmp_path / "elsewhere" / "two"
-    if again == "after removal":
-        shutil.rmtree(first)
-        second = first
-    elif again == "copy beside":
+    if again == "copy beside":
         # The user's folder was lost, or the opened copy comes from another machine.
         shutil.rmtree(config_folder() / "looks")
     elif again == "same place":
@@ -81,6 +80,18 @@ def test_no_copy_of_a_run_is_opened_twice(finished: Path, tmp_path: Path, again:
     with pytest.raises(UserError, match="nothing was opened"):
         opened(second)
     assert open_run(second).view.unsealing is None
+
+
+def test_a_copy_in_the_place_of_an_opened_one_is_no_first_look(
+    finished: Path, tmp_path: Path
+) -> None:
+    place = copied(finished, tmp_path / "elsewhere" / "one")
+    opened(place)
+    shutil.rmtree(place)
+    (words,) = opened(copied(finished, place))
+    assert words.startswith("one on 20")
+    done = command_line("status", "one", "--runs", place.parent)
+    assert "look 2 at these test records, after one on 20" in done.out
 
 
 def test_a_forged_copy_is_no_first_look(finished: Path, tmp_path: Path) -> None:
@@ -121,8 +132,9 @@ def test_without_the_memory_of_looks_a_copy_opens_the_test_unseen(
     assert opened(finished) == ()
 
 
-def test_the_look_is_kept_before_the_records_are_open(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("step", ["ledger.chain.Chain.append", "search.unsealing.open_test"])
+def test_the_look_is_kept_before_anything_else(
+    step: str, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copy = copied(finished, tmp_path / "elsewhere" / "copy")
 
@@ -130,12 +142,35 @@ def test_the_look_is_kept_before_the_records_are_open(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("asia.search.unsealing.open_test", killed)
+        patch.setattr(f"asia.{step}", killed)
         with pytest.raises(KeyboardInterrupt):
             opened(copy)
     assert looks.look_by_copy(finished, open_run(finished).view) is not None
-    assert isinstance(list(read_lines(copy / "ledger.jsonl"))[-1].event, Unsealing)
-    assert opened(copy) == ()
+    # The interrupted run itself goes on; a look that its ledger does not have is counted.
+    assert len(opened(copy)) == (step != "search.unsealing.open_test")
+    assert open_run(copy).view.unsealed is not None
+
+
+def test_of_a_run_beside_the_first_line_is_read_alone(
+    finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run of another problem, however long."""
+    for k in range(3):
+        other = copied(finished, finished.with_name(f"other{k}"))
+        forged(other, salt=str(k), test_digest="another")
+    read = list[Line]()
+
+    def counted(path: Path) -> Iterator[Line]:
+        for line in read_lines(path):
+            read.append(line)
+            yield line
+
+    monkeypatch.setattr(looks, "read_lines", counted)
+    view = open_run(finished).view
+    assert looks.seal_words(finished, view) is None
+    assert read == []
+    opened(finished)
+    assert len(read) == 3
 
 
 def test_a_folder_that_cannot_be_written_is_a_sentence(

@@ -73,8 +73,9 @@ def _others() -> list[tuple[str, str]]:
 
 # Functional mock-up units for co-simulation, FMI 2.0 and 3.0: the printed C with a small shell.
 #
-# A step of the master ends at the next sample. The output that is read then belongs to the input
-# that was set before the step, so that row k + 1 of a result holds sample k.
+# Outputs are computed when they are read, from the state of the sample and the inputs that are
+# set, so that row k of a result holds sample k. A master that reads them before it sets the inputs
+# of the sample sees a direct effect of the input one step late.
 
 
 class FmuTarget:
@@ -82,11 +83,12 @@ class FmuTarget:
 
     name = "fmu"
     usage = """`model_fmi2.fmu` (FMI 2.0) and `model_fmi3.fmu` (FMI 3.0) are for co-simulation. The
-step of the master is the sampling time; another step is refused. Set the inputs, do a step, read
-the outputs: they belong to the inputs that were set before the step, one step earlier on the time
-axis. The parameters `past_u[k,i]` and `past_y[k,j]` (k = 1 the oldest) start the model; their
-start values are those of a training window. The units hold C sources, and a binary for the
-platform they were made on."""
+step of the master is the sampling time; another step is refused. Set the inputs, read the outputs
+of the sample, do a step. The first output is there before the first step. A master that reads the
+outputs of a sample before it sets its inputs sees a direct effect of the input one step late. The
+parameters `past_u[k,i]` and `past_y[k,j]` (k = 1 the oldest) start the model; their start values
+are those of a training window. The units hold C sources, and a binary for the platform they were
+made on."""
 
     def missing(self) -> str | None:
         """Return a sentence if fmpy, which checks the units, or a C compiler is missing."""
@@ -148,8 +150,8 @@ def _simulated(described: Any, folder: str, version: int, window: TrainingWindow
     rows: list[list[float]] = []
     for k, u in enumerate(window.u.tolist()):
         put(inputs, u)
-        unit.doStep(currentCommunicationPoint=k * step, communicationStepSize=step)
         rows.append(get(outputs))
+        unit.doStep(currentCommunicationPoint=k * step, communicationStepSize=step)
     unit.terminate()
     unit.freeInstance()
     return np.array(rows)

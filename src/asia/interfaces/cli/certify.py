@@ -170,6 +170,7 @@ def _certified_loop(
     try:
         made = jsonlib.loads(read_file(path, remedy))
         kind, at, numbers = made["kind"], made["at"], dict(made["controller"])
+        pair = str(made["input"]), str(made["output"])
         setpoint = float(made["setpoint"])
         for name, value in numbers.items():
             if isinstance(value, list):
@@ -181,9 +182,10 @@ def _certified_loop(
         raise UserError(f"{path} is no file of this version: run asia control again") from None
     if kind == "mpc":
         raise UserError("a predictive controller has no certificate: design one of --kind lqr")
-    plants = loop_of_run(directory, at, model, isolation, continuous_time=False)
+    plants, _ = loop_of_run(directory, at, model, isolation, pair, continuous_time=False)
     problem = load_lock(directory / LOCK)
-    output, given = problem.outputs[0], problem.inputs[0]
+    given = next(one for one in problem.inputs if one.name == plants.u)
+    output = next(one for one in problem.outputs if one.name == plants.y)
     signals = [Signal(n, s.unit) for n, s in zip(INPUTS, (output, given, output), strict=True)]
     noise = 3.0 * plants.noise
     limits = np.array([sorted((controller.y0, setpoint)), [0.0, 0.0], [-noise, noise]])

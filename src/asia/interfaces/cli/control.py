@@ -29,7 +29,9 @@ if TYPE_CHECKING:
         SampledController,
         Transfer,
     )
+    from asia.data.trajectory import Signal
     from asia.ledger.evidence import DrawnCheck
+    from asia.lowering.linear import LinearModel
     from asia.lowering.program import LoweredModel
 
 _LOOP_FIGURES = (
@@ -70,7 +72,20 @@ def control(
     ] = None,
     at: Annotated[
         str | None,
-        typer.Option(help="Operating point of a run, as for asia linear: u=2.5 or y=9."),
+        typer.Option(
+            help="Operating point of a run, as for asia linear: NAME=VALUE,... of inputs or "
+            "outputs."
+        ),
+    ] = None,
+    input_: Annotated[
+        str | None,
+        typer.Option(
+            "--input", help="Input that the controller sets; default: the only one that is set."
+        ),
+    ] = None,
+    output: Annotated[
+        str | None,
+        typer.Option("--output", help="Output with the set point; default: the only one."),
     ] = None,
     model: Annotated[
         str | None,
@@ -158,9 +173,10 @@ def control(
         raise UserError(f"--kind is '{kind}', expected {', '.join(_KINDS)}")
     if kind == "pid" and (weights is not None or moves is not None):
         raise UserError("--weights and --moves are for --kind lqr and mpc")
+    beside: list[str] = []
     if plant is not None:
-        if run is not None or model is not None:
-            raise UserError("give a run or --plant, not both")
+        if run is not None or model is not None or input_ is not None or output is not None:
+            raise UserError("give a run or --plant, not both: the other options are for a run")
         num, den = rational(plant)
         if len(num) > len(den) or not np.any(num) or delay < 0:
             raise UserError(
@@ -171,7 +187,9 @@ def control(
         if sampling_time is not None:
             raise UserError("--sampling-time is for --plant: a run has its own")
         directory = options.directory(run)
-        loop = loop_of_run(directory, at, model, options.level, continuous_time=kind == "pid")
+        loop, beside = loop_of_run(
+            directory, at, model, options.level, (input_, output), continuous_time=kind == "pid"
+        )
         out = out or directory / ("control" if model is None else f"control-{model}")
     low, high = _limits(limits, loop.u)
     shares = None if weights is None else _weights(weights, loop)
@@ -212,7 +230,9 @@ def control(
     facts["missed_in_simulation"] = missed
     numbers = {one.name: getattr(controller, one.name) for one in fields(SampledController)}
     facts |= {"kind": kind, "at": at, "setpoint": loop.setpoint, "controller": plain(numbers)}
+    facts |= {"input": loop.u, "output": loop.y, "samples": len(made.target)}
     lines = _lines(loop, found, each, judged)
+    lines[1:1] = beside
     if noisy is not None:
         moved = float(np.nanstd(noisy[1] - responses[0][1]))
         lines.append(f"noise     {loop.y} {loop.noise:.3g} moves {loop.u} by {moved:.3g} (std)")
@@ -310,27 +330,27 @@ def _weights(text: str, loop: Loop) -> tuple[float, float]:
 
 
 def loop_of_run(
-    directory: Path, at: str | None, number: str | None, isolation: Any, *, continuous_time: bool
-) -> Loop:
+    directory: Path, at: str | None, number: str | None, isolation: Any,
+    pair: tuple[str | None, str | None] = (None, None), *, continuous_time: bool,
+) -> tuple[Loop, list[str]]:  # fmt: skip
     """Plants of the model, of the fold models and of the best candidates of other families of a
     run: linear models for the design, in continuous time as transfer functions, and nonlinear ones
-    for the simulation."""
+    for the simulation. The inputs beside the chosen one are held at the operating point; a line on
+    each of them is the second result."""
+    from asia.analysis.closed_loop import single_loop
     from asia.analysis.control import Loop, SimulatedPlant, Transfer
     from asia.export.linear import LinearPoint, linearize
     from asia.ledger.run import open_run
     from asia.lowering.evaluation import evaluate
-    from asia.lowering.linear import LinearModel, continuous, joined, split
+    from asia.lowering.linear import continuous, joined, split
     from asia.search.extension import leading_experiments
 
     opened = open_run(directory)
     found = linearize(opened, [at] if at else (), number, isolation=isolation)
-    if len(found.inputs) != 1 or len(found.outputs) != 1:
-        raise UserError(
-            f"the model has {len(found.inputs)} inputs and {len(found.outputs)} outputs: a "
-            "controller is designed for one input and one output"
-        )
+    j = chosen("--input", pair[0], found.inputs, [s.is_actuated for s in found.inputs])
+    i = chosen("--output", pair[1], found.outputs, [True] * len(found.outputs))
     point = found.points[0]
-    own, y0 = opened.view.best, float(point.at.y[0])
+    own, y0 = opened.view.best, float(point.at.y[i])
     others: dict[str, LinearPoint] = {}
     # An experiment that is asked for is judged by its own models.
     leading = leading_experiments(opened.view, 1 + _OTHERS, _FAR) if number is None else []
@@ -338,27 +358,30 @@ def loop_of_run(
         if own is None or one.proposed.family == own.proposed.family:
             continue
         try:
-            there = linearize(
-                opened, [f"u={float(point.at.u[0])!r}"], str(one.number), isolation=isolation
-            )
+            there = linearize(opened, [point.at.u], str(one.number), isolation=isolation)
         except UserError:
             continue
-        nearest = min(there.points, key=lambda place: abs(float(place.at.y[0]) - y0))
+        nearest = min(there.points, key=lambda place: abs(float(place.at.y[i]) - y0))
         others[f"#{one.number:02d} {one.proposed.family}"] = nearest
-    models = [point.model, *point.folds, *(one.model for one in others.values())]
+    models = [
+        replace(m, b=m.b[:, [j]], c=m.c[[i]], d=m.d[[i]][:, [j]], u0=m.u0[[j]], y0=m.y0[[i]])
+        for m in (point.model, *point.folds, *(one.model for one in others.values()))
+    ]
+    beside = _beside(point.model, found.inputs, found.outputs[i], i, j)
+    if not models[0].delay[0, 0]:
+        beside.append(
+            f"note      {found.outputs[i].name} has the input of its own row at once: if the log "
+            "writes outputs after inputs, the loop has one sample of dead time more"
+        )
 
     def transfer(model: LinearModel) -> Transfer:
         same, dead = continuous(model, _FAST)
         numerators, den = same.numerator()
         num = numerators[0][0]
         num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
-        # A controller acts once a sample: half a sample of dead time more, and a whole one where
-        # the output already has the input of its own sample.
-        wait = (dead + 0.5 + bool(model.delay[0, 0] == 0)) * model.sampling_time
-        return Transfer(np.trim_zeros(num, "f"), den, wait)
+        return Transfer(np.trim_zeros(num, "f"), den, dead * model.sampling_time)
 
     plants = [transfer(model) for model in models] if continuous_time else []
-    late = any(model.delay[0, 0] == 0 for model in models)
 
     def step_of(of: LoweredModel) -> PlantStep:
         def step(x: np.ndarray, u: float) -> tuple[float, np.ndarray]:
@@ -368,27 +391,62 @@ def loop_of_run(
         return step
 
     labels = ("loop", *(f"fold {k}" for k in range(1, 1 + len(point.folds))), *others)
-    lowered = [*point.steps, *(one.steps[0] for one in others.values())]
+    lowered = [
+        (single_loop(model, place, i, j), place)
+        for model, place in (*point.steps, *(one.steps[0] for one in others.values()))
+    ]
     steps = [step_of(model) for model, _ in lowered]
     starts = [place.x for _, place in lowered]
     simulated = [
-        SimulatedPlant(label, [step], [x], late, [of])
+        SimulatedPlant(label, [step], [x], [of])
         for label, step, x, (of, _) in zip(labels, steps, starts, lowered, strict=True)
     ]
     folds = slice(1, 1 + len(point.folds))
     if len(point.folds) > 1:
-        simulated.append(SimulatedPlant("mean of folds", steps[folds], starts[folds], late))
-    y = np.concatenate([record.measured_y[:, 0] for record in found.records])
-    u = np.concatenate([record.u[:, 0] for record in found.records])
-    noise = float(found.noise[0])
+        simulated.append(SimulatedPlant("mean of folds", steps[folds], starts[folds]))
+    y = np.concatenate([record.measured_y[:, i] for record in found.records])
+    u = np.concatenate([record.u[:, j] for record in found.records])
+    noise = float(found.noise[i])
     scored = next((one for one in opened.view.experiments if str(one.number) == number), own)
     folds_of = () if scored is None or scored.score is None else scored.score.folds
-    error = float(np.mean([one.rmse[0] for one in folds_of])) if folds_of else 0.0
+    error = float(np.mean([one.rmse[i] for one in folds_of])) if folds_of else 0.0
     return Loop(
-        found.name, labels, plants, simulated, point.model.sampling_time, float(point.at.u[0]), y0,
+        found.name, labels, plants, simulated, point.model.sampling_time, float(point.at.u[j]), y0,
         y0 + float(np.nanstd(y)), noise, error, (float(u.min()), float(u.max())),
-        found.inputs[0].name, found.outputs[0].name, models,
-    )  # fmt: skip
+        found.inputs[j].name, found.outputs[i].name, models,
+    ), beside  # fmt: skip
+
+
+def chosen(option: str, name: str | None, signals: Sequence[Signal], free: Sequence[bool]) -> int:
+    """Place of the signal that is named, or of the only free one."""
+    names = [one.name for one in signals]
+    places = [k for k, one in enumerate(free) if one and name in (None, names[k])]
+    if len(places) != 1:
+        known = ", ".join(n for n, one in zip(names, free, strict=True) if one) or "none"
+        wrong = f"is '{name}'" if name is not None else "is missing"
+        raise UserError(f"{option} {wrong}: expected one of {known}")
+    return places[0]
+
+
+def _beside(
+    model: LinearModel, inputs: Sequence[Signal], output: Signal, i: int, j: int
+) -> list[str]:
+    """Lines on the inputs that the controller does not set, with the static feedforward of a
+    measured disturbance."""
+    lines: list[str] = []
+    for k, one in enumerate(inputs):
+        if k == j:
+            continue
+        text = f"held      {one.name} at {model.u0[k]:.5g} {one.unit}".rstrip()
+        gains = model.gain[i, [j, k]]
+        if one.role == "disturbance" and np.isfinite(gains).all() and gains[0]:
+            unit = f" {inputs[j].unit}/{one.unit}" if one.unit and inputs[j].unit else ""
+            text += (
+                f"; {output.name} moves by {gains[1]:.4g} for 1; feedforward: add "
+                f"{-gains[1] / gains[0]:.4g}{unit} times its deviation to {inputs[j].name}"
+            )
+        lines.append(text)
+    return lines
 
 
 def _lines(

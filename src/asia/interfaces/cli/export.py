@@ -74,7 +74,10 @@ def export(
 
     for one in write(directory, to, model, out, isolation=level):
         show(one.target, one.files, one.parity)
-        options.print([*table(one.parity), str(one.folder)])
+        options.print([
+            *table(one.parity), f"sampling time {one.sampling_time:g} s, a row a step",
+            *(f"note      {note}" for note in one.notes), str(one.folder),
+        ])  # fmt: skip
     if observer:
         from asia.export.monitor import Monitor, export_observer
 

@@ -304,7 +304,8 @@ def init(
     - `[physics]`, equations: `states`, `parameters` (min, max), `constants`, `definitions`,
       `dynamics` (d/dt), `observation`, `bounds`, `priors`, `corrections`
     - `[data] frequency`, files with measured frequency responses
-    - `role` of an input: "scheduling" (gain and poles follow it) or "time_step" (irregular samples)
+    - `role` of an input: "disturbance" (nobody sets it), "scheduling" (gain and poles follow it) or
+      "time_step" (irregular samples)
 
     asia init NAME --control RUN writes the problem of a search for a controller: the models of the
     run are the plant, and the ranges of its records the limits.

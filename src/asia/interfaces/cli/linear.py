@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     from asia.analysis.process import ProcessFit
     from asia.data.frequency import FrequencyRecord
-    from asia.data.trajectory import Array, Signal
+    from asia.data.trajectory import Array, Signal, Trajectory
     from asia.export.linear import LinearPoint, LinearRun
     from asia.ledger.evidence import DrawnCheck
     from asia.lowering.linear import LinearModel, ProcessModel
@@ -43,15 +44,25 @@ def linear(
         str | None,
         typer.Argument(
             metavar="[RUN | FILE]",
-            help="Run (default: the newest), or a file with a measured frequency response, with "
-            "which only --out and --json apply.",
+            help="Run (default: the newest), a file with a measured frequency response, or a "
+            "record, to which process models are fitted.",
         ),
+    ] = None,
+    inputs: Annotated[
+        str | None, typer.Option(help="Input columns of a record; default: by their names.")
+    ] = None,
+    outputs: Annotated[
+        str | None, typer.Option(help="Output columns of a record; default: by their names.")
+    ] = None,
+    sampling_time: Annotated[
+        float | None, typer.Option(help="Sampling time in s of a record without times.")
     ] = None,
     at: Annotated[
         list[str] | None,
         typer.Option(
-            help="Operating point, repeatable: u=2.5 (inputs held), y=9 (outputs to reach), start "
-            "(first training sample); default: the mean inputs."
+            help="Operating point, repeatable: NAME=VALUE of inputs (held, the others at their "
+            "means) or outputs (to reach), separated by commas, or start (first training sample); "
+            "default: the mean inputs."
         ),
     ] = None,
     reduce: Annotated[
@@ -94,13 +105,19 @@ def linear(
     if run is not None and Path(run).is_file():
         if at or reduce or to_tf or continuous_time or model or response:
             raise UserError(f"{run} is a file: the options of a run do not apply, only --out")
-        _of_file(Path(run), out, options)
+        columns = inputs or "", outputs or ""
+        if any(columns) or sampling_time or not _is_response(Path(run)):
+            _of_record(Path(run), columns, sampling_time, out, options)
+        else:
+            _of_file(Path(run), out, options)
         return
+    if inputs or outputs or sampling_time:
+        raise UserError("--inputs, --outputs and --sampling-time are for a record: name its file")
     directory = options.directory(run)
     given = [read_frequency_response(path) for path in response or ()]
     found = linearize(directory, at or (), model, isolation=options.level)
     compared = _compared(found, given)
-    fitted = _fitted(found) if to_tf else []
+    fitted = _fitted(found.records, found.inputs, found.outputs) if to_tf else []
     facts: dict[str, Any] = {
         "run": found.name,
         "model": found.use,
@@ -114,7 +131,7 @@ def linear(
     for point, values, measured in zip(found.points, facts["points"], compared, strict=True):
         values["responses"] = [one.facts for one in measured]
         lines += [*_lines(found, point, values), *(line for one in measured for line in one.lines)]
-    lines += _fitted_lines(found, fitted)
+    lines += _fitted_lines(fitted, found.inputs, found.outputs)
     facts["text"], facts["drawn"] = lines, [asdict(one) for one in _drawn(found)]
     drawn = [(one.name, one.model, one.folds) for one in found.points]
     pictures = [("linear", lambda: draw_linear(drawn, found.inputs, found.outputs))]
@@ -195,6 +212,56 @@ def _compared(run: LinearRun, given: Sequence[FrequencyRecord]) -> list[list[_Co
             name = f"linear_response{number}" + (f"_at{place}" if len(run.points) > 1 else "")
             results.append(_Compared(facts, tuple(lines), (name, draw)))
     return found
+
+
+def _is_response(path: Path) -> bool:
+    """Whether a file has a frequency response: by its first column, or by its kind."""
+    from asia.data.intake.conversion import survey
+    from asia.data.intake.sheet import Wanted, split_unit
+
+    if path.suffix.lower() in (".npz", ".mat"):
+        return True
+    names = {split_unit(name)[0].lower() for name in survey(path, Wanted((), ())).names}
+    return bool(names & {"frequency", "freq", "omega", "w", "f"})
+
+
+def _of_record(
+    path: Path, columns: tuple[str, str], sampling_time: float | None, out: Path | None,
+    options: RunOptions,
+) -> None:  # fmt: skip
+    """Fit process models to a record."""
+    from asia.data.intake.conversion import split_names, survey, take_in
+    from asia.data.intake.sheet import Wanted
+    from asia.data.trajectory import Signal
+
+    known = survey(path, Wanted((), ()))
+    inputs, outputs = (split_names(text, known.names) for text in columns)
+    outputs = outputs or [name for name in known.outputs if name not in inputs]
+    inputs = inputs or [name for name in known.inputs if name not in outputs]
+    if not inputs or not outputs:
+        raise UserError(f"{path}: name the columns by --inputs and --outputs")
+    if len(inputs) > _MOST_INPUTS:
+        raise UserError(f"{path}: {len(inputs)} inputs, expected at most {_MOST_INPUTS}")
+    found = take_in([path], Wanted(tuple(inputs), tuple(outputs)), "train", sampling_time, 20)
+    signals = [
+        tuple(Signal(name, found.units.get(name, "")) for name in side)
+        for side in (found.inputs, found.outputs)
+    ]
+    say(f"fitting   {_counted(len(outputs), 'output')}, a few seconds each", file=sys.stderr)
+    fitted = _fitted(found.records, *signals)
+    step = found.records[0].sampling_time
+    rows = sum(map(len, found.records))
+    lines = [
+        f"record {path.name}: {_counted(rows, 'sample')} of {step:g} s, inputs "
+        f"{', '.join(found.inputs)}, outputs {', '.join(found.outputs)}",
+        *(f"note      {note}" for note in found.notes), *_fitted_lines(fitted, *signals),
+    ]  # fmt: skip
+    facts: dict[str, Any] = {
+        "file": str(path), "sampling_time": step, "inputs": found.inputs, "outputs": found.outputs,
+        "process_models_of_records": [None if one is None else asdict(one) for one in fitted],
+        "text": lines,
+    }  # fmt: skip
+    _write(facts, [], out or Path("linear"), options)
 
 
 def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
@@ -377,30 +444,34 @@ def _dynamics(model: LinearModel) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _fitted(run: LinearRun) -> list[ProcessFit | None]:
-    """Process models of the training records, one for each output; None where there is none."""
+def _fitted(
+    records: Sequence[Trajectory], inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> list[ProcessFit | None]:
+    """Process models of records, one for each output; None where there is none."""
     from asia.analysis.process import fit_process
 
     found: list[ProcessFit | None] = []
-    for i in range(len(run.outputs)):
+    for i in range(len(outputs)):
         try:
-            found.append(fit_process(run.records, i) if len(run.inputs) <= _MOST_INPUTS else None)
+            found.append(fit_process(records, i) if len(inputs) <= _MOST_INPUTS else None)
         except (UserError, ValueError):
             found.append(None)
     return found
 
 
-def _fitted_lines(run: LinearRun, fitted: Sequence[ProcessFit | None]) -> Iterator[str]:
+def _fitted_lines(
+    fitted: Sequence[ProcessFit | None], inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> Iterator[str]:
     """Yield the process models of the records with their intervals."""
     if fitted:
         yield ""
-        yield "process models fitted to the training records, with 95 % intervals"
-    for out, one in zip(run.outputs, fitted, strict=False):
+        yield "process models fitted to the records, with 95 % intervals"
+    for out, one in zip(outputs, fitted, strict=False):
         if one is None:
             yield f"process   {out.name}: none (no change, or more than {_MOST_INPUTS} inputs)"
             continue
         for into, model, values, reason in zip(
-            run.inputs, one.models, one.parameters, one.withheld, strict=True
+            inputs, one.models, one.parameters, one.withheld, strict=True
         ):
             if model is None:
                 yield f"process   {out.name} by {into.name}: none, as {reason}"

@@ -62,7 +62,9 @@ def next_(
         raise UserError("--duration is missing: give the length of the record in s")
     directory = options.directory(run)
     problem = load_lock(directory / LOCK)
-    inputs, outputs = ([s.name for s in side] for side in (problem.inputs, problem.outputs))
+    inputs = [s.name for s in problem.inputs if s.is_actuated]
+    others = [s.name for s in problem.inputs if not s.is_actuated]
+    outputs = [s.name for s in problem.outputs]
     spans = {
         name: _span(text, value) for name, value, text in _named("--limits", limits, inputs, "u")
     }
@@ -70,18 +72,16 @@ def next_(
         name: _number(text, value) for name, value, text in _named("--rate", rate, inputs, "u")
     }
     held = {
-        name: _number(text, value) for name, value, text in _named("--start", start, inputs, "u")
+        name: _number(text, value)
+        for name, value, text in _named("--start", start, [*inputs, *others], "u")
     }
     if any(not value > 0 for value in rates.values()):
         raise UserError("--rate: expected positive numbers")
-    rest = None
-    if held:
-        if len(held) < len(inputs):
-            raise UserError(f"--start: expected all inputs ({', '.join(inputs)})")
-        rest = np.array([held[name] for name in inputs])
+    if held and not set(inputs) <= set(held):
+        raise UserError(f"--start: expected all inputs ({', '.join(inputs)})")
     kept = _kept(keep or (), outputs)
     made = next_experiment(
-        directory, duration, spans, rates, kept, start=rest, seed=seed,
+        directory, duration, spans, rates, kept, start=held, seed=seed,
         isolation=options.level,
     )  # fmt: skip
     folder = directory / "next" if out is None else out
@@ -90,7 +90,7 @@ def next_(
     every = problem.preprocess.decimate
     u = np.repeat(found.proposed.u, every, axis=0)
     t = made.sampling_time / every * np.arange(len(u))
-    header = ",".join(f'"{n}"' if "," in n else n for n in ("time", *inputs))
+    header = ",".join(f'"{n}"' if "," in n else n for n in ("time", *(s.name for s in made.inputs)))
     np.savetxt(
         folder / "next.csv", np.column_stack([t, u]), fmt="%.9g", delimiter=",", header=header,
         comments="",

@@ -2,7 +2,6 @@
 
 import contextlib
 import json as jsonlib
-import re
 import sqlite3
 import sys
 import time
@@ -26,10 +25,7 @@ CREATE TABLE notes (run TEXT, experiment INTEGER, time TEXT, author TEXT, text T
 """
 _COLUMNS = " ".join(_TABLES.replace("CREATE TABLE ", "").split())
 # Functions of numbers, text, dates and JSON, which read their arguments alone.
-_FUNCTIONS = frozenset(
-    re.findall(
-        r"\S+",
-        """
+_FUNCTIONS = """
     abs acos acosh asin asinh atan atan2 atanh avg ceil ceiling char coalesce concat concat_ws cos
     cosh count cume_dist current_date current_time current_timestamp date datetime degrees
     dense_rank exp first_value floor format glob group_concat hex ifnull iif instr julianday lag
@@ -41,9 +37,7 @@ _FUNCTIONS = frozenset(
     -> ->> json json_array json_array_length json_error_position json_extract json_group_array
     json_group_object json_insert json_object json_patch json_pretty json_quote json_remove
     json_replace json_set json_type json_valid
-    """,
-    )
-)
+"""
 _READABLE = frozenset({"runs", "experiments", "settings", "notes", "json_each", "json_tree"})
 _ACTIONS = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_RECURSIVE)
 _LONGEST_VALUE = 16 << 20  # bytes
@@ -100,7 +94,7 @@ def _confine(database: sqlite3.Connection) -> list[str]:
         action: int, first: str | None, second: str | None, place: str | None, _: str | None
     ) -> int:
         if action == sqlite3.SQLITE_FUNCTION:
-            if (second or "").lower() in _FUNCTIONS:
+            if (second or "").lower() in _FUNCTIONS.split():
                 return sqlite3.SQLITE_OK
             refused.append(f"the function {second} is not among those that a query may call")
         elif action == sqlite3.SQLITE_READ:
@@ -116,9 +110,9 @@ def _confine(database: sqlite3.Connection) -> list[str]:
     end = time.monotonic() + _SECONDS
 
     def late() -> bool:
-        if time.monotonic() > end:
+        if over := time.monotonic() > end:
             refused.append(f"it took more than {_SECONDS:g} s")
-        return bool(refused)
+        return over
 
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE)
     database.set_authorizer(allow)

@@ -24,6 +24,10 @@ from asia.judge.scoring.repeated_fits import (
 
 HALF: Final = 0.5
 """Share of the gain in V that must come back where nobody could read the answers."""
+FAR_ABOVE_V: Final = 3.0
+"""Error on other records over V, both normalised, from which on V is no measure of a model. On the
+tests of 12 honest searches on six measured systems (the development zoo in benchmarks/RESULTS.md)
+it is 0.83 to 2.3; in the two on `ph`, whose models fail on the test, 24 and 50."""
 LEVEL: Final = 0.8
 """Level of the interval of a gain: each of its ends is passed by chance in one case of ten."""
 
@@ -40,14 +44,17 @@ class Confirmation:
     """Gain on the guard records, with an interval of level `LEVEL`; None without guard records."""
     sequential: float | None = None
     """Gain in V with the folds fitted one after the other; None where that was not asked."""
+    apart: float | None = None
+    """Error on the guard records over V, each relative to that of the first best: how far V ran
+    away from the guard in all experiments together. None without guard records."""
     detail: str = ""
     """Failure of the candidate where it was asked; "" for none."""
 
     @property
     def confirmed(self) -> bool:
-        """Whether every answer holds at least half of the gain, and the one on the guard records
-        differs from nothing by more than chance."""
-        if self.detail:
+        """Whether every answer holds at least half of the gain, the one on the guard records
+        differs from nothing by more than chance, and V did not run away from the guard."""
+        if self.detail or self._ran_away:
             return False
         alone, guard, least = self.sequential, self.guard, HALF * self.gain
         holds = guard is None or (guard.value >= least and (guard.low > 0.0 or self.gain <= 0.0))
@@ -55,8 +62,14 @@ class Confirmation:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the guard records show less than half of the gain, by more than chance."""
-        return self.guard is not None and self.guard.high < HALF * self.gain
+        """Whether the guard records show, by more than chance, less than half of the gain, or V ran
+        away from the guard."""
+        less = self.guard is not None and self.guard.high < HALF * self.gain
+        return less or self._ran_away
+
+    @property
+    def _ran_away(self) -> bool:
+        return self.apart is not None and self.apart > FAR_ABOVE_V
 
 
 def share_gained(before: float, after: float) -> float:

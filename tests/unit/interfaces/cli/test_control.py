@@ -21,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asia.analysis.control import (
+    ControlledPlant,
     Loop,
     LoopFigures,
     SampledController,
@@ -31,12 +32,15 @@ from asia.analysis.control import (
     loop_figures,
     response_figures,
     sampled,
+    sampled_loop_figures,
+    sampled_plant,
     shortfalls,
     simulate_loop,
     zero_order_hold,
 )
+from asia.data.trajectory import Signal
 from asia.errors import UserError
-from asia.interfaces.cli.control import pid_gains, rational
+from asia.interfaces.cli.control import chosen, pid_gains, rational
 from tests.unit.interfaces.cli.conftest import command_line
 
 
@@ -338,32 +342,89 @@ def st_step(folder: Path, code: SampledController) -> Callable[[float, float], f
     return step
 
 
+def matrix_step(code: SampledController) -> Callable[[float, float], float]:
+    """The controller by its definition, without its code."""
+    x, last = np.zeros(len(code.c)), code.u0
+
+    def step(r: float, y: float) -> float:
+        nonlocal x, last
+        v = code.u0 + code.c @ x + code.d @ [r - code.y0, y - code.y0]
+        most = code.rate * code.sampling_time
+        u = float(np.clip(np.clip(v, code.low, code.high), last - most, last + most))
+        x = code.a @ x + code.b @ [r - code.y0, y - code.y0, u - code.u0]
+        last = u
+        return u
+
+    return step
+
+
+TRANSFERS = [
+    PID,
+    Transfer(np.array([3e-6]), np.array([1.0, 0.0])),
+    Transfer(np.array([-2.0]), np.ones(1)),
+    Transfer(np.array([0.4, 2.0]), np.array([0.001, 1.0])),
+    Transfer(np.poly([-1.0, -2.0, -4.0]), np.poly([0.0, -20.0, -90.0])),
+]
+
+
 @pytest.mark.parametrize("made", [python_step, c_step, st_step])
-@pytest.mark.parametrize(
-    "transfer",
-    [
-        PID,
-        Transfer(np.array([3e-6]), np.array([1.0, 0.0])),
-        Transfer(np.array([-2.0]), np.ones(1)),
-        Transfer(np.array([0.4, 2.0]), np.array([0.001, 1.0])),
-        Transfer(np.poly([-1.0, -2.0, -4.0]), np.poly([0.0, -20.0, -90.0])),
-    ],
-)
-def test_code_gives_the_inputs_of_the_simulation(
+@pytest.mark.parametrize("transfer", TRANSFERS)
+def test_code_is_the_controller(
     made: Callable[[Path, SampledController], Callable[[float, float], float]],
     transfer: Transfer,
     tmp_path: Path,
 ) -> None:
     code = sampled(transfer, 0.05, u0=2.0, y0=-1.5, limits=(0.0, 4.5), rate=30.0)
-    step = made(tmp_path, code)
-    rng = np.random.default_rng(0)
-    x, last = np.zeros(len(code.c)), code.u0
+    step, known = made(tmp_path, code), matrix_step(code)
     seen: list[float] = []
-    for r, y in rng.normal(-1.5, 1.0, (400, 2)):
-        x, last = code.step(x, last, float(r), float(y))
-        assert step(float(r), float(y)) == pytest.approx(last, abs=1e-9)
-        seen.append(last)
+    for r, y in np.random.default_rng(0).normal(-1.5, 1.0, (400, 2)):
+        seen.append(known(float(r), float(y)))
+        assert step(float(r), float(y)) == pytest.approx(seen[-1], abs=1e-9)
     assert np.std(seen) > 1e-9
+
+
+@pytest.mark.parametrize("transfer", TRANSFERS)
+def test_a_controller_goes_on_from_the_input_it_is_started_with(transfer: Transfer) -> None:
+    code = sampled(transfer, 0.05, u0=2.0, y0=-1.5, limits=(0.0, 4.5), rate=30.0)
+    started = code.started(1.0)
+    assert [started.step(-1.5, -1.5) for _ in range(50)] == pytest.approx([1.0] * 50, abs=1e-9)
+    assert code.started().step(-1.5, -1.5) == pytest.approx(2.0)
+
+
+def test_a_tiny_feedthrough_changes_nothing() -> None:
+    # y = x and y = x + 1e-9 u are the same plant.
+    steps = [lambda x, u, d=d: (float(x[0]) + d * u, 0.9 * x + 0.1 * u) for d in (0.0, 1e-9)]
+    controller = sampled(Transfer(np.array([2.0, 1.0]), np.array([1.0, 0.0])), 0.1)
+    responses = [
+        simulate_loop(controller, SimulatedPlant("one", [step], [np.zeros(1)]), np.ones(100))
+        for step in steps
+    ]
+    for one, other in zip(*responses, strict=True):
+        assert one == pytest.approx(other, abs=1e-7)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.13])
+@pytest.mark.parametrize("num", [[1.0], [0.3, 1.0, 1.0]])
+def test_figures_of_the_sampled_loop_are_those_of_its_simulation(
+    delay: float, num: list[float]
+) -> None:
+    plant = Transfer(np.array(num), np.array([1.0, 1.2, 1.0]), delay)
+    controller = sampled(PID, 0.05)
+    model = sampled_plant(plant, 0.05)
+    found = sampled_loop_figures(ControlledPlant.of(model), controller)
+    y, u = simulate_loop(controller, zero_order_hold(plant, 0.05), np.ones(3000))
+    known = response_figures(y, u, controller, 1.0)
+    assert found.settling == pytest.approx(known.settling, abs=1e-9)
+    assert found.overshoot == pytest.approx(known.overshoot, abs=1e-9)
+    assert found.rise == pytest.approx(known.rise, abs=1e-9)
+
+
+def test_the_settling_time_of_a_plant_counts_all_its_lags() -> None:
+    num, den = rational("1/(s+1)^8")
+    found = Transfer(num, den, 0.5).own_settling
+    y = control.step_response(control.tf(num, den), T=np.linspace(0.0, 40.0, 40_001))[1]
+    known = 0.001 * float(np.flatnonzero(np.abs(y - 1.0) > 0.02)[-1])
+    assert found == pytest.approx(known + 0.5, abs=0.03)
 
 
 def test_limits_reach_the_simulation_and_the_files(tmp_path: Path) -> None:
@@ -391,3 +452,16 @@ def test_a_loop_is_not_much_faster_than_asked() -> None:
     assert found.violated == ()
     assert 1.4 <= found.figures.settling <= 6.0
     assert found.controller.den[-1] == 0
+
+
+def test_the_input_of_a_loop_is_the_only_one_that_is_set() -> None:
+    signals = Signal("heater"), Signal("weather", role="disturbance")
+    free = [one.is_actuated for one in signals]
+    assert chosen("--input", None, signals, free) == 0
+    for name in ("weather", "pump"):
+        with pytest.raises(UserError, match=f"'{name}': expected one of heater"):
+            chosen("--input", name, signals, free)
+    both = Signal("heater"), Signal("flow")
+    assert chosen("--input", "flow", both, [True, True]) == 1
+    with pytest.raises(UserError, match="is missing: expected one of heater, flow"):
+        chosen("--input", None, both, [True, True])

@@ -68,9 +68,9 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     monkeypatch.syspath_prepend(str(project))
-    _plugins._package_names.cache_clear()
+    _plugins._all_parts.cache_clear()
     yield project
-    _plugins._package_names.cache_clear()
+    _plugins._all_parts.cache_clear()
     for name in [name for name in sys.modules if name.startswith("odd_")]:
         del sys.modules[name]
 

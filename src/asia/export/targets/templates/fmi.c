@@ -23,7 +23,7 @@ typedef struct {
     asia_state x;
     asia_real v[VALUES];
     double time;
-    int started;
+    int started; /* 0: from the values; 1: at the first sample; 2: behind it */
 } unit;
 
 static void reset(unit *m)
@@ -37,9 +37,20 @@ static void reset(unit *m)
         m->v[i] = (asia_real)start[i];
 }
 
-static int get(const unit *m, const uint32_t *refs, size_t n, double *values)
+static void start(unit *m)
+{
+    const asia_real *past = m->v + ASIA_INPUTS + ASIA_OUTPUTS;
+    if (!m->started)
+        asia_init(&m->x, past, past + PAST_U, m->v);
+    m->started = m->started ? m->started : 1;
+}
+
+/* Outputs are those of the present sample, with the inputs that are set. */
+static int get(unit *m, const uint32_t *refs, size_t n, double *values)
 {
     size_t i;
+    start(m);
+    asia_output(&m->x, m->v, m->v + ASIA_INPUTS);
     for (i = 0; i < n; ++i) {
         if (refs[i] > VALUES)
             return ERROR;
@@ -56,20 +67,18 @@ static int set(unit *m, const uint32_t *refs, size_t n, const double *values)
             return ERROR;
         m->v[refs[i] - 1] = (asia_real)values[i];
     }
+    if (m->started == 1)
+        m->started = 0;
     return OK;
 }
 
 static int advance(unit *m, double now, double step)
 {
-    const asia_real *past = m->v + ASIA_INPUTS + ASIA_OUTPUTS;
     if (!(fabs(step - ASIA_SAMPLING_TIME) <= 1e-6 * ASIA_SAMPLING_TIME))
         return ERROR;
-    if (!m->started) {
-        asia_init(&m->x, past, past + PAST_U, m->v);
-        m->started = 1;
-    }
-    /* The output of this sample, before the states move. */
-    asia_step(&m->x, m->v, m->v + ASIA_INPUTS);
+    start(m);
+    asia_update(&m->x, m->v);
+    m->started = 2;
     m->time = now + step;
     return OK;
 }

@@ -1,5 +1,6 @@
 /* Simulates a CSV file: a row of names, then rows of inputs and outputs. Outputs of the
- * first rows start the model, the others are compared with. */
+ * first rows start the model, the others are compared with. A column `time` or `t` in s
+ * may come first: its step is checked. */
 #include "model.h"
 #include <math.h>
 #include <stdio.h>
@@ -9,18 +10,23 @@
 #define PAST (ASIA_PAST_INPUTS > ASIA_PAST_OUTPUTS ? ASIA_PAST_INPUTS : ASIA_PAST_OUTPUTS)
 #define COLUMNS (ASIA_INPUTS + ASIA_OUTPUTS)
 
-static int next_row(FILE *file, asia_real *row)
+/* The time that comes first, where there is one; its rows are a sampling time apart. */
+static int next_row(FILE *file, asia_real *row, int timed, double *time)
 {
     char line[65536];
     char *at = line;
     int i;
     if (fgets(line, sizeof line, file) == NULL)
         return 0;
-    for (i = 0; i < COLUMNS; ++i) {
+    for (i = -timed; i < COLUMNS; ++i) {
         char *end;
-        row[i] = (asia_real)strtod(at, &end);
+        double value = strtod(at, &end);
         if (end == at)
             return 0;
+        if (i < 0)
+            *time = value;
+        else
+            row[i] = (asia_real)value;
         at = *end == ',' ? end + 1 : end;
     }
     return 1;
@@ -33,7 +39,8 @@ int main(int argc, char **argv)
     asia_real row[COLUMNS], y[ASIA_OUTPUTS], worst = 0;
     asia_state x;
     char names[65536], *at;
-    long k, i;
+    double time = 0, before = 0;
+    long k, i, timed;
     FILE *file;
     if (argc != 2) {
         fprintf(stderr, "usage: model record.csv (%d inputs, then %d outputs)\n", ASIA_INPUTS,
@@ -47,12 +54,18 @@ int main(int argc, char **argv)
     }
     for (i = 1, at = fgets(names, sizeof names, file); at != NULL && *at != '\0'; ++at)
         i += *at == ',';
-    if (i != COLUMNS) {
+    timed = i == COLUMNS + 1 && (strncmp(names, "time", 4) == 0 || strncmp(names, "t,", 2) == 0);
+    if (i != COLUMNS + timed) {
         fprintf(stderr, "%s: expected the columns @COLUMNS@, separated by commas\n", argv[1]);
         return 2;
     }
     printf("@NAMES@\n");
-    for (k = 0; next_row(file, row); ++k) {
+    for (k = 0; next_row(file, row, (int)timed, &time); ++k, before = time) {
+        if (timed && k && !(fabs(time - before - ASIA_SAMPLING_TIME) <= 0.01 * ASIA_SAMPLING_TIME)) {
+            fprintf(stderr, "%s: rows %ld and %ld are %g s apart, the model steps every %g s\n",
+                    argv[1], k, k + 1, time - before, (double)ASIA_SAMPLING_TIME);
+            return 2;
+        }
         long from_u = k - (PAST - ASIA_PAST_INPUTS), from_y = k - (PAST - ASIA_PAST_OUTPUTS);
         if (k < PAST) {
             if (from_u >= 0)
@@ -78,7 +91,7 @@ int main(int argc, char **argv)
         fprintf(stderr, "%s: expected more than %d rows of numbers, found %ld\n", argv[1], PAST, k);
         return 2;
     }
-    fprintf(stderr, "%ld samples, largest difference from the file %.3g\n", k - PAST,
-            (double)worst);
+    fprintf(stderr, "%ld samples of %g s, largest difference from the file %.3g\n", k - PAST,
+            (double)ASIA_SAMPLING_TIME, (double)worst);
     return 0;
 }
