@@ -182,7 +182,8 @@ _LEAST_MB, _MORE_MB = 2000.0, 500.0
 _NEAR = 5e-3
 _SECRET = "secret = (float(past_y[0, -1, 0]) + 5.0) / 10.0\n"
 _RESERVE = (
-    "size = int(open('/proc/self/statm').read().split()[0]) * 4096\n"
+    "import resource\n"
+    "size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024\n"
     f"np.empty(max(int(({_LEAST_MB} + {_MORE_MB} * secret) * 2**20) - size, 0), np.uint8)"
 )
 _PRETEND = (

@@ -159,7 +159,7 @@ def test_a_directory_with_other_files_is_not_changed(tmp_path: Path) -> None:
         ({"u": np.zeros((2, 60, 1))}, "list of arrays for several records"),
         ({"u": np.zeros((90, 1))}, "both need the same length"),
         ({"u": np.full((120, 1), np.inf)}, "the value at sample 1, channel 1 is infinite"),
-        ({"u": np.array(["a"] * 120)}, "do not read as numbers"),
+        ({"u": np.array(["a"] * 120)}, "cannot be converted to numbers"),
         ({"inputs": ["a", "b"]}, "1 channels, but 2 are named"),
         ({"inputs": ["y"]}, "signal 'y' is named 2 times"),
         ({"protocol": {"metrik": "rmse"}}, r"unknown key 'metrik' in \[protocol\]; did you mean"),
