@@ -32,7 +32,10 @@ def test_a_line_a_check_a_record_in_the_ledger_and_a_section_of_the_report(
 ) -> None:
     done = asia("validate", finished)
     assert done.code == 0, done.err
-    *lines, model, summary = done.out.splitlines()
+    printed = done.out.splitlines()
+    end = next(k for k, line in enumerate(printed) if line.startswith("pass "))
+    *lines, model, summary = printed[: end + 1]
+    assert printed[end + 1].startswith("verdict ")
     assert "fold models of experiment 2 on the held-out parts of the training records" in model
     assert model.endswith("the sealed test was not used")
     assert summary.startswith("pass ")
@@ -73,7 +76,8 @@ def test_a_search_that_is_not_finished_keeps_no_validation_report(
 @pytest.mark.slow
 def test_a_new_record_that_the_model_gets_wrong(finished: Path, tmp_path: Path, asia: Asia) -> None:
     good = asia("validate", finished, "--record", new_record(tmp_path / "good.csv", 1.0))
-    assert good.out.splitlines()[-1].endswith("fail 0")
+    (summary,) = (line for line in good.out.splitlines() if line.startswith("pass "))
+    assert summary.endswith("fail 0")
     assert "PASS  output bands: 90 % output bands contained: y " in good.out
     done = asia("validate", finished, "--record", new_record(tmp_path / "bad.csv", -1.0), "--json")
     *checks, end = (json.loads(line) for line in done.out.splitlines())
