@@ -171,7 +171,7 @@ def test_a_guard_that_was_changed_is_not_looked_at(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_look_at_a_model_that_fails_there_is_a_failure(guarded: Path, tmp_path: Path) -> None:
-    ready = prepare(load_problem(guarded), "scripted", seed=0, runs=tmp_path / "runs")
+    ready = prepared(load_problem(guarded), tmp_path / "runs")
     wild = f"        n = 2\n        assert np.abs(u).max() < {MARK / 2}\n"
     picky = arx(2).replace("        n = 2\n", wild, 1)
     view = search(ready, Scripted((picky,)), lambda event, view: None, lambda view: None)
