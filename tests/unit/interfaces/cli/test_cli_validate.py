@@ -90,7 +90,9 @@ def test_a_new_record_that_the_model_gets_wrong(finished: Path, tmp_path: Path, 
     header, *rows = (tmp_path / "good.csv").read_text().splitlines()
     bare.write_text("\n".join(rows) + "\n")
     named = asia("validate", finished, "--record", bare, "--columns", header)
-    assert named.out == good.out.replace("good.csv", "bare.csv").replace("'good'", "'bare'")
+    # The verdict behind them knows the bad record too.
+    expected = good.out.replace("good.csv", "bare.csv").replace("'good'", "'bare'")
+    assert named.out.partition("\nverdict ")[0] == expected.partition("\nverdict ")[0]
 
 
 def test_a_record_without_the_columns_is_refused(
