@@ -21,7 +21,7 @@ from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.search.agent_views import agent_view, problem_facts
-from asia.search.run import prepare, search
+from asia.search.run import Prepared, prepare, search
 
 from .toy import Scripted, arx, write_problem
 
@@ -58,8 +58,15 @@ def looked(once: tuple[Path, SearchView], tmp_path: Path) -> SearchView:
     return once[1]
 
 
+def prepared(problem: Problem, runs: Path) -> Prepared:
+    """A search whose agent cannot read the training records: the guard is for the last look."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("asia.search.run.can_read_records", lambda names: False)
+        return prepare(problem, AGENT.name, seed=0, runs=runs)
+
+
 def go(problem: Problem, runs: Path) -> SearchView:
-    ready = prepare(problem, AGENT.name, seed=0, runs=runs)
+    ready = prepared(problem, runs)
     return search(ready, AGENT, lambda event, view: None, lambda view: None)
 
 
@@ -98,7 +105,7 @@ def test_a_search_that_ends_again_with_the_same_bests_learns_nothing(
 ) -> None:
     agent = Scripted((arx(3), arx(2), arx(1)))
     for experiments in (2, 4):
-        ready = prepare(extended(guarded, experiments), "scripted", seed=0, runs=tmp_path / "runs")
+        ready = prepared(extended(guarded, experiments), tmp_path / "runs")
         view = search(ready, agent, lambda event, view: None, lambda view: None)
     assert [look.look for look in view.looks] in ([1, 1], [1, 2])
     same = view.looks[0].scores == view.looks[1].scores
@@ -164,7 +171,7 @@ def test_a_guard_that_was_changed_is_not_looked_at(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_look_at_a_model_that_fails_there_is_a_failure(guarded: Path, tmp_path: Path) -> None:
-    ready = prepare(load_problem(guarded), "scripted", seed=0, runs=tmp_path / "runs")
+    ready = prepared(load_problem(guarded), tmp_path / "runs")
     wild = f"        n = 2\n        assert np.abs(u).max() < {MARK / 2}\n"
     picky = arx(2).replace("        n = 2\n", wild, 1)
     view = search(ready, Scripted((picky,)), lambda event, view: None, lambda view: None)
