@@ -192,6 +192,8 @@ def _correlation(u: Sequence[Array], y: Sequence[Array], lags: int) -> tuple[Arr
 # Lags of outputs and inputs in a predictor, lags of feedback that are tested, and far ones that
 # tell the deviation by chance; correlation below which feedback does not matter.
 _OWN_LAGS, _INPUT_LAGS, _BACK, _FAR_LAGS, _LEAST = 10, 20, 20, 200, 0.05
+# Median sizes of an input's news at which they are clipped.
+_CLIPPED = 4.0
 # Deviations of a trend by chance that a drift exceeds.
 _TREND = 5.0
 
@@ -240,24 +242,36 @@ def _feedback(records: tuple[Trajectory, ...]) -> tuple[Array, Array]:
         for j, new in enumerate(news):
             if new is None:
                 continue
-            pairs = [
-                (a[-min(len(a), len(e)) :], e[-min(len(a), len(e)) :])
-                for a, e in zip(new, predictor.innovations, strict=True)
+            # Rare jumps of an input hide what it follows between them.
+            both = np.concatenate(new)
+            clip = max(_CLIPPED * float(np.median(np.abs(both))), _PREDICTABLE)
+            tests = [
+                _strength(made, predictor.innovations)
+                for made in (new, [np.clip(a, -clip, clip) for a in new])
             ]
-            longest = max(len(a) for a, _ in pairs)
-            near = min(_BACK, longest // 4)
-            most = min(near + _FAR_LAGS, longest // 2)
-            back = np.array([_studentised(pairs, k) for k in range(1, most + 1)])
-            # Far lags show the deviation that a plant with more than a predictor leaves.
-            far = float(np.median(np.abs(back[near:]))) / 0.6745 if most > near + 20 else 1.0
-            largest = float(np.abs(back[:near]).max()) / max(far, 1.0)
-            chances[j, i] = min(2.0 * near * NormalDist().cdf(-largest), 1.0)
-            sizes[j, i] = float(np.abs(back[:near]).max()) / math.sqrt(
-                sum(len(a) for a, _ in pairs)
-            )
+            chances[j, i] = min(len(tests) * min(chance for chance, _ in tests), 1.0)
+            sizes[j, i] = max(size for _, size in tests)
     tested = np.isfinite(chances)
     chances[tested] = np.where(sizes[tested] < _LEAST, 1.0, _holm(chances[tested]))
     return chances, np.where(chances < FALSE_ALARMS, sizes, 0.0)
+
+
+def _strength(news: Sequence[Array], innovations: Sequence[Array]) -> tuple[float, float]:
+    """Chance of the largest correlation of an input's news with earlier innovations, and that
+    correlation."""
+    pairs = [
+        (a[-min(len(a), len(e)) :], e[-min(len(a), len(e)) :])
+        for a, e in zip(news, innovations, strict=True)
+    ]
+    longest, samples = max(len(a) for a, _ in pairs), sum(len(a) for a, _ in pairs)
+    near = min(_BACK, longest // 4)
+    most = min(near + _FAR_LAGS, longest // 2)
+    back = np.abs([_studentised(pairs, k) for k in range(1, most + 1)])
+    # Far lags show the deviation that a plant with more than a predictor leaves.
+    far = float(np.median(back[near:])) / 0.6745 if most > near + 20 else 1.0
+    largest = float(back[:near].max(initial=0.0))
+    chance = min(2.0 * near * NormalDist().cdf(-largest / max(far, 1.0)), 1.0)
+    return chance, largest / math.sqrt(samples)
 
 
 def _holm(chances: Array) -> Array:
@@ -577,6 +591,16 @@ def relation(records: tuple[Trajectory, ...]) -> Relation:
         length=max(map(len, records)),
         gain=max((_input_gain(usable, k, size) for k in outputs for size in blocks), default=0.0),
     )
+
+
+@once_for_records
+def needs_loop(records: tuple[Trajectory, ...]) -> bool:
+    """Return whether the plant is unstable in the records and in both of their halves: only a loop
+    keeps it within bounds."""
+    if min(map(len, records)) < 2 * _SHORTEST:
+        return False
+    halves = [r[: len(r) // 2] for r in records], [r[len(r) // 2 :] for r in records]
+    return all(relation(part).unstable for part in (records, *halves))
 
 
 def _innovations(signals: Sequence[Array]) -> tuple[Array, ...] | None:

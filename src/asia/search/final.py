@@ -14,7 +14,7 @@ import numpy as np
 from asia._diagnostic import diagnostic
 from asia.agents.library.recipe import MODELS, read_recipe
 from asia.candidate import ParameterEstimates
-from asia.data.statistics import integrating, relation
+from asia.data.statistics import integrating, needs_loop, relation
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
@@ -527,9 +527,12 @@ def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
             return None
         return Feedback(tuple(s.name for s in problem.inputs), None, declared=True)
     names = dict.fromkeys(given.name for given, _ in feedback_pairs(problem))
+    records = problem_facts(problem).records
+    if not names and needs_loop(records):
+        names = dict.fromkeys(signal.name for signal in problem.inputs)
     if not names:
         return None
-    found = relation(problem_facts(problem).records)
+    found = relation(records)
     return Feedback(tuple(names), found.pole if found.unstable else None)
 
 

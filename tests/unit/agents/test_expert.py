@@ -16,11 +16,11 @@ from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.registry import families, family
 from asia.agents.library.trial_evidence import overfit
-from asia.data import Trajectory
+from asia.data import Array, Trajectory
 from asia.data.statistics import Switching, noise_of_periods, plateau_share
 from asia.problem.physics import Correction
 from asia.problem.plant import Plant, Unknown
-from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
+from tests.unit.agents.records.test_relation import closed_loop, lagged
 from tests.unit.agents.searches import (
     CLEAN,
     body,
@@ -518,9 +518,17 @@ def remarks(known: Facts, experiments: int = 15) -> tuple[list[str], tuple[Trial
     return said, search(Listening, known, experiments, no_better_than_the_mean)
 
 
+def facts_of(u: Array, y: Array) -> Facts:
+    return replace(simulation(physics=False), records=(Trajectory(u, y, 1.0),))
+
+
+def in_loop(pole: float) -> Facts:
+    return replace(simulation(physics=False), records=tuple(closed_loop(pole, 0.5)))
+
+
 def test_while_nothing_beats_the_mean_the_expert_tries_other_kinds_and_varies_none() -> None:
     rng = np.random.default_rng(0)
-    known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
+    known = facts_of(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
     said, trials = remarks(known)
     assert said[:3] == ["", "", ""]
     assert all("no candidate beats the mean" in words for words in said[3:])
@@ -533,19 +541,19 @@ def test_while_nothing_beats_the_mean_the_expert_tries_other_kinds_and_varies_no
 
 
 def test_the_expert_explains_why_no_candidate_beats_the_mean() -> None:
-    said, _ = remarks(closed_loop(1.05, 0.5), 5)
+    said, _ = remarks(in_loop(1.05), 5)
     assert "the plant is unstable" in said[-1]
     assert "inputs follow the past outputs" in said[-1]
     assert 'kind = "windows"' in said[-1]
-    said, _ = remarks(closed_loop(0.9, 0.5), 5)
+    said, _ = remarks(in_loop(0.9), 5)
     assert "closed loop" in said[-1]
-    said, _ = remarks(replace(closed_loop(0.9, 0.5), horizon=40), 5)
+    said, _ = remarks(replace(in_loop(0.9), horizon=40), 5)
     assert "Shorter windows than 40 samples" in said[-1]
 
 
 def test_a_delay_beyond_the_search_range_of_families_is_set_at_once() -> None:
     u = np.repeat(np.random.default_rng(4).uniform(-1, 1, 200), 5)
-    known = facts(u, lagged(u, 30))
+    known = facts_of(u, lagged(u, 30))
     first = following(known, (), "explore")
     second = following(known, (trial(first, 1, 0.8),), "explore")
     assert second.title == f"{first.title}: inputs that act after 30 samples"
@@ -554,7 +562,7 @@ def test_a_delay_beyond_the_search_range_of_families_is_set_at_once() -> None:
 
 def test_without_further_moves_beyond_the_mean_the_search_ends_with_the_reason() -> None:
     rng = np.random.default_rng(0)
-    known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
+    known = facts_of(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
     with pytest.raises(AgentStoppedError, match="no candidate beats the mean") as end:
         search(AGENT, known, 200, no_better_than_the_mean)
     assert end.value.reason == "exhausted"
@@ -563,7 +571,7 @@ def test_without_further_moves_beyond_the_mean_the_search_ends_with_the_reason()
 def test_families_that_cannot_add_up_are_not_refined_where_the_output_drifts() -> None:
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-1, 1, 200), 5)
-    known = facts(u, np.cumsum(u) + 0.01 * rng.standard_normal(1000))
+    known = facts_of(u, np.cumsum(u) + 0.01 * rng.standard_normal(1000))
     doubtful = {row.name for row in families(known) if row.doubtful(known)}
     assert {"block_oriented", "esn", "ltc"} <= doubtful
     assert not {"linear", "neural_ss", "subnet", "narx"} & doubtful
@@ -608,7 +616,7 @@ def test_the_noise_between_periods_ends_the_search(over: float, ends: bool) -> N
     rng = np.random.default_rng(8)
     u = np.tile(rng.standard_normal(250), 4)
     y = lagged(u, 1) + 0.1 * rng.standard_normal(1000)
-    known = facts(u, y)
+    known = facts_of(u, y)
     floor = noise_of_periods(known.records)
     assert floor == pytest.approx(0.1 / y.std(), rel=0.1)
     left = replace(CLEAN, whiteness=0.9)
