@@ -391,6 +391,7 @@ ACCOUNTED = {
     "judge/sandbox/worker/child.py": "candidates and their models, in the sandbox",
     "judge/sandbox/worker/keeper.py": "the C library",
     "judge/sandbox/worker/wire.py": "requests of the parent, read in the sandbox",
+    "analysis/control.py": "code that ASIA printed from numbers of a design",
     "analysis/validation.py": "checks of installed packages",
     "models/_reuse.py": "results of a worker, read in a worker",
     "models/controllers.py": "models of a control problem, in the sandbox",

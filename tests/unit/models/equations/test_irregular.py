@@ -113,7 +113,11 @@ def test_what_counts_in_samples_is_refused(tmp_path: Path) -> None:
         ('outputs = ["x"]', 'outputs = ["x"]\nloop = { reference = "u2" }', r"\[loop\] needs one"),
         ('outputs = ["x"]', 'outputs = ["x"]\npreprocess = { decimate = 2 }', r"\[preprocess\]"),
         ("data = {", 'data = { time = "none", ', "irregular sampling needs a column"),
-        ('role = "time_step"', 'role = "clock"', "expected 'scheduling' or 'time_step'"),
+        (
+            'role = "time_step"',
+            'role = "clock"',
+            "expected 'disturbance', 'scheduling' or 'time_step'",
+        ),
     ],
 )
 def test_a_problem_that_needs_one_sampling_time_is_refused(
