@@ -4,7 +4,7 @@ Random plants with up to three inputs of different order in coloured noise: cove
 intervals of process-model parameters, and delays within one sample. Open-loop files with five kinds
 of inputs: alarms of feedback and drift. Closed-loop files: feedback that is found.
 
-    python benchmarks/models/record_statistics.py [--plants 200] [--files 500] [--loops 100] [--seed 0]
+    python benchmarks/models/record_statistics.py [--plants 200] [--files 500] [--loops 100]
 """
 
 from __future__ import annotations
