@@ -58,14 +58,20 @@ def load_problem(name_or_path: str | Path, guard_share: float | None = None) -> 
 
     Args:
         guard_share: share of the training records to hold back as guard records, where the problem
-            names none; a simulated source makes a fresh record instead.
+            names none. A simulated source makes a fresh record instead, a control problem draws
+            as many further scenarios.
 
     Raises:
         UserError: with one sentence for each problem that the user can fix
     """
     path = _find(name_or_path)
     file = read_table(path, ProblemFile)
-    if guard_share is not None and not file.data.guard and file.data.guard_share is None:
+    if guard_share is not None and file.control is not None:
+        scenarios = file.control.scenarios
+        drawn = scenarios.guard or max(1, round(guard_share * scenarios.train))
+        control = replace(file.control, scenarios=replace(scenarios, guard=drawn))
+        file = replace(file, control=control)
+    elif guard_share is not None and not file.data.guard and file.data.guard_share is None:
         simulated = (file.data.source or "").startswith("simulated:")
         given = {"guard": 1} if simulated else {"guard_share": guard_share}
         file = replace(file, data=replace(file.data, **given))

@@ -118,8 +118,12 @@ class Gate:
         total, best = None, bests[-1]
         since, before = self._counted_from([e for e in view.bests[:1] if e != best], view)
         if isinstance(scores[-1].outcome, Score) and best.score is not None and before is not None:
-            y_hat = self._simulation(best.number, view)
-            total = self._judged(since, before, best.score.value, y_hat, view)
+            value = best.score.value
+            try:
+                y_hat = self._simulation(best.number, view)
+                total = self._judged(since, before, value, y_hat, view)
+            except CandidateError as error:
+                total = Confirmation(since, share_gained(before, value), detail=error.reason.value)
         return GuardLooked(1 + (last.look if last else 0), scores, pick, total=total)
 
     def _counted_from(

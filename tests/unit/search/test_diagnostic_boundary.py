@@ -39,6 +39,7 @@ IN_A_VALIDATION = {
     "held-out error": "check_overfit",
     "steps ahead": "check_steps_ahead",
     "region of validity": "check_region",
+    "output bands": "check_bands",
 }
 
 

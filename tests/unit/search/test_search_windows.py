@@ -151,5 +151,9 @@ def test_the_winner_simulates_windows_and_longer(run: Path) -> None:
         assert np.array_equal(y_hat, np.ones((length, 4)))
         banded = simulate(run, np.zeros((0, 1)), np.ones((1, 4)), np.zeros((length, 1)), bands=0.8)
         assert np.array_equal(banded.y_hat, y_hat)
-        assert np.all(banded.lower <= y_hat)
-        assert np.all(banded.upper[10:] - banded.lower[10:] <= banded.upper[9] - banded.lower[9])
+        # Bands of two outputs did not hold their share of the folds, and are withdrawn.
+        given = ~np.isnan(banded.lower[0])
+        assert 0 < np.sum(given) < 4
+        lower, upper = banded.lower[:, given], banded.upper[:, given]
+        assert np.all(lower <= y_hat[:, given])
+        assert np.all(upper[10:] - lower[10:] <= upper[9] - lower[9])

@@ -113,7 +113,7 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     answer = json.loads(first.out)
     assert set(answer) == {
         "test", "experiment", "skip", "refit", "use", "early_stopping", "residuals", "bands",
-        "alarms",
+        "alarms", "opened_before",
     }  # fmt: skip
     assert set(answer["bands"]) == {"model", "level", "covered", "outside"}
     assert set(answer["bands"]["covered"]) == {"y"}

@@ -157,6 +157,7 @@ def test_parameters_are_a_data_frame_where_pandas_is_installed(
 ) -> None:
     frame = fitted.parameters_
     assert isinstance(frame, pd.DataFrame)
+    ends = frame[["low", "high"]].to_numpy()
     assert frame.index.name == "parameter"
     assert list(frame.columns) == [
         "value", "unit", "standard_error", "low", "high", "fold_error", "lower", "upper",
@@ -168,8 +169,8 @@ def test_parameters_are_a_data_frame_where_pandas_is_installed(
     assert [one.fitted.name for one in plain] == list(frame.index)
     assert [one.fitted.value for one in plain] == frame["value"].tolist()
     assert plain
-    ends = [one.interval or (np.nan, np.nan) for one in plain]
-    np.testing.assert_array_equal(frame[["low", "high"]].to_numpy(), np.array(ends))
+    intervals = [one.interval or (np.nan, np.nan) for one in plain]
+    np.testing.assert_array_equal(ends, np.array(intervals))
     assert fitted.verdict_ == usability(asia.open_run(fitted.run_.directory).view)
 
 

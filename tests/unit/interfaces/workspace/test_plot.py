@@ -12,6 +12,7 @@ from asia.interfaces.workspace.server import DeskServer, RunDesk, SocketDesk
 from asia.interfaces.workspace.workspace import Workspace
 from asia.ledger.run import open_run
 from asia.problem.folds import make_folds
+from asia.problem.held_back import GUARD_SHARE
 from asia.problem.load import load_problem
 from asia.problem.protocol import ProtocolRule
 from asia.report.simulated import SimulatedCases
@@ -37,7 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_training_samples_alone_are_simulated(run: Path) -> None:
     shown = RunDesk(run).simulated(2)
-    problem = load_problem(run.parents[1] / "toy")
+    problem = load_problem(run.parents[1] / "toy", GUARD_SHARE)
     folds = make_folds(problem.train, problem.protocol)
     assert [(case.fold, case.held_out) for case in shown.cases] == [(1, False), (2, False)]
     for case, fold in zip(shown.cases, folds, strict=True):

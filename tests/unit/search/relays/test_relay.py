@@ -306,7 +306,7 @@ def test_another_relay_is_another_search(searched: Searched) -> None:
     )
     runs, name = searched.run.directory.parent, searched.run.name
     with pytest.raises(UserError, match=r"has agent expert3\+random2\+bayes2\+llm, not expert3"):
-        asia.run(searched.problem, agent=other, runs=runs, name=name)
+        asia.run(searched.problem, agent=other, runs=runs, name=name, guard=True)
 
 
 def test_a_relay_by_name() -> None:

@@ -20,5 +20,5 @@ def test_a_model_that_says_nothing_is_doubted(tmp_path: Path, driven: bool) -> N
         np.savetxt(problem / "train.csv", table, delimiter=",", header="u,y", comments="")
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
     lines = verdict_lines(run.view)
-    assert lines[0].startswith("verdict not usable: It is") == (not driven)
+    assert lines[0].startswith("verdict not usable") == (not driven)
     assert ('kind = "windows"' in " ".join(lines)) == (not driven)
