@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data.frequency import find_period, frequency_response
-from asia.data.process import OutputTransfer, fit_transfer, is_constant, once_for_records
+from asia.data.process import OutputTransfer, fit_transfer, once_for_records
 from asia.data.relations import FoundTransport, find_transport
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory, deviations, is_constant
 from asia.errors import UserError
 
 
@@ -32,11 +32,6 @@ def _block_means(values: Array, size: int) -> Array:
     """Means (blocks, n) of blocks of so many samples."""
     blocks = len(values) // size
     return values[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
-
-
-def _deviations(values: Array) -> Array:
-    """Deviations (n,) of columns (T, n), 1 for a constant one."""
-    return np.array([1.0 if is_constant(v) else float((v - v.mean()).std()) for v in values.T])
 
 
 # Delay from each input to each output.
@@ -299,7 +294,7 @@ def _news(records: Sequence[Trajectory], channel: int, order: int) -> list[Array
     u = np.concatenate([r.u for r in records])
     if is_constant(u[:, channel]):
         return None
-    mean, size = u.mean(axis=0), _deviations(u)
+    mean, size = u.mean(axis=0), deviations(u)
     scaled = [(r.u - mean) / size for r in records]
     pasts = [
         np.hstack([*_lagged(v, range(1, order + 1), order), np.ones((len(v) - order, 1))])
@@ -321,7 +316,7 @@ def _predictor(records: tuple[Trajectory, ...], output: int) -> Predictor | None
     if is_constant(y[:, output]):
         return None
     u = np.concatenate([r.u for r in used.values()])
-    u_mean, u_size, y_mean, y_size = u.mean(axis=0), _deviations(u), y.mean(axis=0), _deviations(y)
+    u_mean, u_size, y_mean, y_size = u.mean(axis=0), deviations(u), y.mean(axis=0), deviations(y)
     nu, ny = u.shape[1], y.shape[1]
     lengths = [len(r) for r in used.values()]
     samples = sum(lengths)
@@ -438,7 +433,7 @@ def _one_step_poles(
     y = np.concatenate([one[:, output] for _, one in signals])
     if is_constant(y):
         return np.zeros(0)
-    mean, size = u.mean(axis=0), _deviations(u)
+    mean, size = u.mean(axis=0), deviations(u)
     level, spread = float(y.mean()), float(y.std())
     scaled = [((one - mean) / size, (two[:, output] - level) / spread) for one, two in signals]
     x = np.concatenate([
@@ -501,7 +496,7 @@ def noise_of_periods(records: tuple[Trajectory, ...]) -> float | None:
 
 def several_levels(records: Sequence[Trajectory]) -> bool:
     """Return whether the inputs come in levels that are clearly apart, several records a level."""
-    scale = _deviations(np.concatenate([r.u for r in records]))
+    scale = deviations(np.concatenate([r.u for r in records]))
     sizes = np.sort([np.sqrt(((r.u / scale) ** 2).mean()) for r in records])
     cuts = np.flatnonzero(sizes[1:] > _APART * sizes[:-1]) + 1
     return len(cuts) > 0 and min(map(len, np.split(sizes, cuts))) >= _FEWEST

@@ -12,10 +12,9 @@ import numpy as np
 
 from asia.data.bad_samples import find_bad_samples
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
-from asia.data.process import is_constant
 from asia.data.relations import Repetition, find_repetition
 from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback
-from asia.data.trajectory import Array, Signal, Trajectory
+from asia.data.trajectory import Array, Signal, Trajectory, is_constant
 from asia.errors import UserError
 from asia.problem.feedback import loop_lines
 from asia.problem.folds import splits, windows
@@ -75,8 +74,8 @@ class SignalCheck:
 
     @property
     def constant(self) -> bool:
-        """Whether it never moves; std may be above 0 by rounding."""
-        return self.minimum == self.maximum
+        """Whether it moves by no more than its rounding."""
+        return is_constant(np.array([self.minimum, self.maximum]))
 
 
 @dataclass(frozen=True)
@@ -702,8 +701,7 @@ def _levels_text(found: FrequencyResponse) -> str:
     if levels.noise is None:
         return (
             f"no period; noise and distortion together {_decibels(levels.both)} (squared coherence "
-            f"{1.0 - levels.both**2:.3g}): a linear model has V of about {levels.both:.2g}, "
-            "or less where the system is as slow as the records are long"
+            f"{1.0 - levels.both**2:.3g})"
         )
     parts = {"odd distortion": levels.odd, "even distortion": levels.even}
     if levels.odd is None and levels.even is None:

@@ -319,7 +319,7 @@ class ParameterChanges:
         with np.errstate(all="ignore"):
             for _ in range(_SETTLING):
                 before, x = x, self._after(x, rest[0][:, None], self._theta)
-                if np.abs(x - before).max() <= 1e-9 * (1.0 + np.abs(x).max()):
+                if np.abs(x - before).max() <= 1e-9 * np.abs(x).max():
                     break
         self._rest = x
 

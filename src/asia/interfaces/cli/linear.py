@@ -23,9 +23,6 @@ _MOST_INPUTS = 3
 # Fit in percent below which the process model of a step response is withheld.
 _LEAST_FIT = 80.0
 _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
-# Size of a discrete pole below which it holds past samples, within the error of a multiple
-# eigenvalue, and has no time constant.
-_NO_DYNAMICS = 1e-3
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -505,7 +502,7 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
     yield f"at {point.name}: {values(run.inputs, model.u0)}; {values(run.outputs, model.y0)}{rest}"
     yield f"order     {model.order}, sampling time {step:g} s"
     yield from _pole_lines(model, point.mode_bands)
-    shown = [f"{z.real:.5g}" + (f"{z.imag:+.5g}i" if abs(z.imag) > 1e-12 else "")
+    shown = [f"{z.real:.5g}" + (f"{z.imag:+.5g}i" if z.imag else "")
              for z in model.zeros]  # fmt: skip
     if shown:
         yield f"zeros     {', '.join(shown)}"
@@ -575,21 +572,20 @@ def _gain_unit(out: Signal, into: Signal) -> str:
 
 def _pole_lines(model: LinearModel, bands: Sequence[tuple[Array, Array] | None]) -> Iterator[str]:
     """Yield a line for each mode, with the bands of frequency and damping where they are known."""
-    edge = 1.0 if model.sampling_time else 0.0
     nyquist = 0.5 / model.sampling_time if model.sampling_time else np.inf
-    memory = int((np.abs(model.poles) < _NO_DYNAMICS).sum()) if model.sampling_time else 0
+    memory = int((model.poles == 0).sum()) if model.sampling_time else 0
     for (pole, frequency, damping, time), mode in zip(model.modes(), bands, strict=True):
-        if memory and abs(pole) < _NO_DYNAMICS:
+        if memory and pole == 0:
             continue
-        text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
+        text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag else "")
         if np.isnan(frequency):
             yield f"pole      {text:<24} no continuous counterpart"
-        elif abs(pole - edge) < 1e-6:
+        elif model.integrates(pole):
             yield f"pole      {text:<24} integrator"
         else:
             kind = (
                 "unstable"
-                if (abs(pole) > 1.0 if edge else pole.real > 0.0)
+                if (abs(pole) > 1.0 if model.sampling_time else pole.real > 0.0)
                 else f"time constant {time:.4g} s"
             )
             sure = ["", ""]
@@ -600,7 +596,7 @@ def _pole_lines(model: LinearModel, bands: Sequence[tuple[Array, Array] | None])
                 rate = f"above {nyquist:.4g} Hz, half the sampling frequency"
             yield (
                 f"pole      {text:<24} {rate}, damping {damping:.3g}"
-                f"{sure[1] if pole.imag > 1e-12 else ''}, {kind}"
+                f"{sure[1] if pole.imag else ''}, {kind}"
             )
     if memory:
         text = "0" if memory == 1 else f"0, {memory} times"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory, deviations
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Scaling:
         """Statistics over all samples of all records; a constant channel is only shifted."""
         u = np.concatenate([t.u for t in trajectories])
         y = np.concatenate([t.y for t in trajectories])
-        return cls(u.mean(axis=0), _spread(u), y.mean(axis=0), _spread(y))
+        return cls(u.mean(axis=0), deviations(u), y.mean(axis=0), deviations(y))
 
     def inputs(self, u: Array) -> Array:
         """Scale inputs (..., nu) in physical units to z-scores."""
@@ -37,10 +37,3 @@ class Scaling:
     def physical(self, y: Array) -> Array:
         """Convert outputs (..., ny) from z-scores to physical units."""
         return y * self.y_std + self.y_mean
-
-
-def _spread(values: Array) -> Array:
-    std = values.std(axis=0)
-    # A constant channel has rounding noise for a standard deviation; dividing by it would amplify.
-    constant = std <= 1e-12 * np.maximum(1.0, np.abs(values.mean(axis=0)))
-    return np.where(constant, 1.0, std)
