@@ -30,7 +30,6 @@ from asia.judge.scoring.checks.response import (
     check_spectrum,
     frequency_response_of,
     impulse_response,
-    poles,
 )
 from asia.judge.scoring.checks.validation_data import (
     LinearResponse,

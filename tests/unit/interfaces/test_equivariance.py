@@ -1,0 +1,297 @@
+"""Printed numbers follow their signals: scaled, shifted, negated, permuted and renamed signals,
+reordered records and another unit of time change nothing but the numbers that carry the unit."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import asia
+from asia.analysis.data_verdict import judge_data
+from asia.data import Array
+from asia.problem.check import check_problem
+from asia.problem.problem import Problem
+from asia.problem.seal import seal
+from tests.unit.interfaces.cli.conftest import command_line
+
+STEP = 0.5
+INPUTS, OUTPUTS = ("pump", "valve"), ("level", "pressure")
+OTHERS = {"pump": "alpha", "valve": "beta", "level": "gamma", "pressure": "delta"}
+
+
+@dataclass(frozen=True)
+class Transformation:
+    """Signals that a user could have recorded instead: times factors, plus a shift."""
+
+    y: tuple[float, float] = (1.0, 1.0)
+    u: tuple[float, float] = (1.0, 1.0)
+    y_shift: float = 0.0
+    u_shift: float = 0.0
+    time: float = 1.0
+    permuted: bool = False
+    renamed: bool = False
+    reordered: bool = False
+
+    def record(self, seed: int) -> tuple[Array, Array]:
+        """Inputs and outputs (T, 2) of a record."""
+        u, y = record(seed)
+        way = -1 if self.permuted else 1
+        return (u * self.u + self.u_shift)[:, ::way], (y * self.y + self.y_shift)[:, ::way]
+
+    def records(self) -> tuple[list[Array], list[Array]]:
+        pairs = [self.record(seed) for seed in ((2, 1) if self.reordered else (1, 2))]
+        return [u for u, _ in pairs], [y for _, y in pairs]
+
+    def names(self, names: tuple[str, str]) -> list[str]:
+        found = [OTHERS[n] for n in names] if self.renamed else list(names)
+        return found[::-1] if self.permuted else found
+
+
+TRANSFORMATIONS = {
+    "outputs times 1e-12": Transformation(y=(1e-12, 1e-12)),
+    "outputs times 1e12": Transformation(y=(1e12, 1e12)),
+    "one output times 1e-9": Transformation(y=(1e-9, 1.0)),
+    "one output times 1e6": Transformation(y=(1.0, 1e6)),
+    "inputs times 1e-9": Transformation(u=(1e-9, 1e-9)),
+    "one input times 1e9": Transformation(u=(1e9, 1.0)),
+    "outputs shifted": Transformation(y_shift=100.0),
+    "inputs shifted": Transformation(u_shift=-30.0),
+    "one output negated": Transformation(y=(-1.0, 1.0)),
+    "one input negated": Transformation(u=(1.0, -1.0)),
+    "channels permuted": Transformation(permuted=True),
+    "channels renamed": Transformation(renamed=True),
+    "records reordered": Transformation(reordered=True),
+    "time times 60": Transformation(time=60.0),
+    "time times 1e-6": Transformation(time=1e-6),
+}
+QUICK = ("one output times 1e-9", "one input times 1e9", "channels permuted", "time times 60")
+
+
+def record(seed: int, samples: int = 260) -> tuple[Array, Array]:
+    """Inputs and outputs (T, 2) of a linear system of third order with delays."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.normal(size=(samples // 4 + 1, 2)), 4, axis=0)[:samples]
+    y = np.zeros((samples, 2))
+    for k in range(2, samples):
+        y[k, 0] = 1.2 * y[k - 1, 0] - 0.5 * y[k - 2, 0] + 0.4 * u[k - 1, 0] + 0.2 * u[k - 1, 1]
+        y[k, 1] = 0.8 * y[k - 1, 1] + 0.3 * u[k - 2, 1]
+    return u, y + 0.02 * rng.normal(size=y.shape)
+
+
+# The comparison.
+
+LAWS = [
+    (re.compile(pattern), dimension)
+    for pattern, dimension in {
+        r"inputs\.(?P<i>\d)\.(minimum|maximum)": "u+",
+        r"inputs\.(?P<i>\d)\.std": "u",
+        r"inputs\.(?P<i>\d)\.bandwidth": "/t",
+        r"outputs\.(?P<o>\d)\.(minimum|maximum)": "y+",
+        r"outputs\.(?P<o>\d)\.std": "y",
+        r"outputs\.(?P<o>\d)\.bandwidth": "/t",
+        r"(in|out)puts\.(?P<i>\d)": "",
+        r"delay_samples\.(?P<o>\d)\.(?P<i>\d)": "",
+        r"(slope|slope_gain)\.(?P<o>\d)\.(?P<i>\d)": "y/u/t",
+        r"(fold_gains|gain_band)\.\d\.(?P<o>\d)\.(?P<i>\d)": "y/u",
+        r"gain\.(?P<o>\d)\.(?P<i>\d)": "y/u",
+        r"process_models\.(?P<o>\d)\.(?P<i>\d)\.gain": "y/u",
+        r"process_models\.(?P<o>\d)\.(?P<i>\d)\.(lags|zero|delay)": "t",
+        r"process_models_of_records\.(?P<o>\d)\.models\.(?P<i>\d)\.gain": "y/u",
+        r"process_models_of_records\.(?P<o>\d)\.models\.(?P<i>\d)\.(lags|zero|delay)": "t",
+        r"process_models_of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.0\.\w+$": "y/u",
+        r"process_models_of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.\d\.\w+$": "t",
+        r"process_models_of_records\.(?P<o>\d)\.(models|withheld|first|parameters)\.(?P<i>\d)": "",
+        r"process_models_of_records\.(?P<o>\d)": "",
+        r"points\.\d\.u\.(?P<i>\d)": "u+",
+        r"points\.\d\.y\.(?P<o>\d)": "y+",
+        r"start\.u\.(?P<i>\d)": "u+",
+        r"start\.y\.(?P<o>\d)": "y+",
+        r"(lower|upper)\.(?P<o>\d)$": "y+",
+        r"noise\.(?P<o>\d)$": "y",
+        r"predicted\.\d+\.(?P<o>\d)": "y+",
+        r"simulated\.\d+\.(?P<o>\d)": "y+",
+        r"(fold_)?(poles|zeros).*(frequency_hz)|mode_bands\.\d\.\d\.0": "/t",
+        r"time_s|sampling_time": "t",
+        r"continuous\.(poles|zeros).*(real|imag)": "/t",
+    }.items()
+]
+SKIPPED = re.compile(
+    # Matrices of a realisation, whose basis is free; invariants of them are compared.
+    r"(^|\.)(A|B|C|D|controller|numerators|singular_values|bound|relative_bound)(\.|$)"
+    r"|(^|\.)offset$|drawn"  # sum of several units; curves of the same models
+    r"|(^|\.)(run|file|files|microseconds_per_step|parity|bytes)(\.|$)"  # names, times, rounding
+)
+ENDS = {"low": "high", "minimum": "maximum", "at_minimum": "at_maximum", "lower": "upper"}
+ENDS |= {high: low for low, high in ENDS.items()}
+NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?\b|[-+]?\binf\b")
+
+
+def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict):
+        parts = list(value.items())
+    elif isinstance(value, (list, tuple)):
+        parts = list(enumerate(value))
+    else:
+        yield path, value
+        return
+    for key, part in parts:
+        yield from leaves(part, f"{path}.{key}" if path else str(key))
+
+
+def as_original(document: Any, of: Transformation) -> dict[str, Any]:
+    """Leaves of a document by their paths, in the units and with the names of the original."""
+    found: dict[str, Any] = {}
+    back = {new: old for old, new in OTHERS.items()}
+    for path, value in leaves(document):
+        if SKIPPED.search(path):
+            continue
+        law = next(((m, d) for p, d in LAWS if (m := p.search(path))), None)
+        factor, shift, dimension = 1.0, 0.0, ""
+        if law is not None:
+            match, dimension = law
+            places = {name: int(k) for name, k in match.groupdict().items()}
+            if of.permuted:
+                for name, k in places.items():
+                    start, end = match.span(name)
+                    path = f"{path[:start]}{1 - k}{path[end:]}"
+                    places[name] = 1 - k
+            if "y" in dimension:
+                factor *= of.y[places["o"]]
+                shift = of.y_shift if "+" in dimension else 0.0
+            if "u" in dimension:
+                factor *= of.u[places["i"]] ** (-1.0 if "/u" in dimension else 1.0)
+                shift = of.u_shift if dimension == "u+" else shift
+            if "t" in dimension:
+                factor *= of.time ** (-1.0 if "/t" in dimension else 1.0)
+        signs = factor
+        if not any(c in dimension for c in "yu") and law is not None and "i" in law[0].groupdict():
+            side = of.u if path.startswith("inputs") else of.y
+            signs = side[int(law[0].group("i"))]
+        if signs < 0:
+            path = ".".join(ENDS.get(key, key) for key in path.split("."))
+            path = re.sub(r"gain_band\.(\d)", lambda m: f"gain_band.{1 - int(m[1])}", path)
+        if isinstance(value, str):
+            value = re.sub(r"\b\w+\b", lambda m: back.get(m[0], m[0]), value)
+            value = NUMBER.sub("#", value)
+        elif isinstance(value, float) or (isinstance(value, int) and dimension):
+            value = abs(value / factor) if path.endswith(("error", "std")) else (
+                (value - shift) / factor)  # fmt: skip
+        found[path] = value
+    return found
+
+
+def differences(here: dict[str, Any], there: dict[str, Any], tolerance: float) -> list[str]:
+    found = [f"{p}: only in one" for p in here.keys() ^ there.keys()]
+    for path in here.keys() & there.keys():
+        a, b = here[path], there[path]
+        if isinstance(a, float) and isinstance(b, float):
+            if not (abs(a - b) <= tolerance * max(abs(a), abs(b), 1e-3) or (a != a and b != b)):
+                found.append(f"{path}: {a!r} and {b!r}")
+        elif a != b:
+            found.append(f"{path}: {a!r} and {b!r}")
+    return sorted(found)
+
+
+# The doors.
+
+
+def checked(of: Transformation, folder: Path) -> Any:
+    """`asia check`, as numbers and as lines."""
+    u, y = of.records()
+    problem = Problem.from_arrays(
+        u, y, sampling_time=STEP * of.time, directory=folder / "problem",
+        inputs=of.names(INPUTS), outputs=of.names(OUTPUTS),
+    )  # fmt: skip
+    report = check_problem(problem, seal(problem))
+    signals = [asdict(one) for one in report.signals]
+    verdict = judge_data(problem, report)
+    # Lines and doubts of channels come in the order of the channels.
+    return {
+        "inputs": signals[:2], "outputs": signals[2:],
+        "weights": sorted(one.weight for one in report.doubts),
+        "lines": sorted(as_text(one, of) for one in [*report.lines(), *verdict.lines()]),
+    }  # fmt: skip
+
+
+def as_text(line: str, of: Transformation) -> str:
+    back = {new: old for old, new in OTHERS.items()}
+    return NUMBER.sub("#", re.sub(r"\b\w+\b", lambda m: back.get(m[0], m[0]), line))
+
+
+def linear_of_record(of: Transformation, folder: Path) -> Any:
+    """`asia linear FILE --json`."""
+    u, y = of.record(1)
+    inputs, outputs = of.names(INPUTS), of.names(OUTPUTS)
+    header = ",".join([*inputs, *outputs])
+    np.savetxt(folder / "r.csv", np.hstack([u, y]), "%.17g", ",", header=header, comments="")
+    done = command_line(
+        "linear", folder / "r.csv", "--inputs", ",".join(inputs), "--outputs", ",".join(outputs),
+        "--sampling-time", STEP * of.time, "--out", folder / "linear", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    del found["inputs"], found["outputs"], found["text"]
+    return found
+
+
+def fitted(of: Transformation, folder: Path) -> asia.SystemIdentifier:
+    u, y = of.records()
+    made = asia.SystemIdentifier(
+        1, runs=folder / "runs", directory=folder / "problem", progress=False,
+        budget={"retests": 0},
+    )  # fmt: skip
+    return made.fit(
+        u, y, sampling_time=STEP * of.time, inputs=of.names(INPUTS), outputs=of.names(OUTPUTS)
+    )
+
+
+def identifier(of: Transformation, folder: Path) -> Any:
+    """`SystemIdentifier`."""
+    model = fitted(of, folder)
+    u, y = of.record(3)
+    predicted = model.predict(u[:80], y[:80], 3)
+    return {
+        "V": model.value_, "score": model.score(u, y),
+        "predicted": predicted[~np.isnan(predicted[:, 0])].tolist(),
+        "simulated": model.simulate(u[40:], past_u=u[:40], past_y=y[:40]).tolist(),
+        "verdict": asdict(model.verdict_),
+    }  # fmt: skip
+
+
+DOORS: dict[str, Callable[[Transformation, Path], Any]] = {
+    "check": checked, "linear FILE": linear_of_record, "SystemIdentifier": identifier,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+    for name in TRANSFORMATIONS
+])  # fmt: skip
+def test_numbers_follow_their_signals(
+    name: str, door: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    of = TRANSFORMATIONS[name]
+    before = original(door, tmp_path_factory.mktemp("before"))
+    after = as_original(DOORS[door](of, tmp_path_factory.mktemp("after")), of)
+    assert not (found := differences(before, after, 1e-6)), "\n".join(found)
+
+
+@cache
+def _original(door: str, folder: Path) -> dict[str, Any]:
+    return as_original(DOORS[door](Transformation(), folder), Transformation())
+
+
+_FOLDERS: dict[str, Path] = {}
+
+
+def original(door: str, folder: Path) -> dict[str, Any]:
+    return _original(door, _FOLDERS.setdefault(door, folder))
