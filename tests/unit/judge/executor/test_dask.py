@@ -64,7 +64,7 @@ def go(
     if not (root / "toy").is_dir():
         write_problem(root / "toy", experiments=6)
     problem = load_problem(root / "toy")
-    problem = replace(problem, budget=replace(problem.budget, fit_seconds=60.0))
+    problem = replace(problem, budget=replace(problem.budget, fit_seconds=150.0))
     runs = root / ("here" if executor is None else "there")
     ready = prepare(problem, "scripted", seed=0, runs=runs, parallel=parallel)
     return search(ready, agent, on_event, lambda view: None, executor)
