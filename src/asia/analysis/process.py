@@ -120,7 +120,10 @@ def _estimate(name: str, value: Interval, unit: float, label: str) -> ParameterE
     low, high = _stated(value).interval or (math.nan, math.nan)
     return ParameterEstimate(
         name,
-        *(unit * one for one in (value.value, value.error, low, high)),
+        unit * value.value,
+        unit * value.error,
+        unit * low,
+        unit * high,
         label,
         unit * value.lower,
         unit * value.upper,

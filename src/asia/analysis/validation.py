@@ -387,7 +387,8 @@ class _Validation:
         held = [float(np.mean(f.errors)) for f in errors]
         named = identified(self.run)
         apart = () if named is None else named.disagreeing
-        return (check_overfit(train, held, found, apart),)
+        numbers = [f.numbers for f in errors if f.numbers is not None]
+        return (check_overfit(train, held, found, apart, max(numbers, default=None)),)
 
     def _training_records(self) -> tuple[Check, ...]:
         """Show which checks do not pass on the training records of a fold, which agents see and

@@ -683,14 +683,19 @@ class _Data:
                 Interval(
                     float(np.exp(at.phi[i])),
                     float(np.exp(at.phi[i]) * np.sqrt(max(covariance[i, i], 0.0))),
-                    *(float(v) for v in np.exp([*ends[i], low[i], high[i]])),
+                    math.exp(ends[i][0]),
+                    math.exp(ends[i][1]),
+                    math.exp(low[i]),
+                    math.exp(high[i]),
                 )
                 for i in range(p.start, p.stop - 1)
             ]
+            last = p.stop - 1
             delay = Interval(
-                float(at.phi[p.stop - 1]),
-                float(np.sqrt(max(covariance[p.stop - 1, p.stop - 1], 0.0))),
-                *ends[p.stop - 1],
+                float(at.phi[last]),
+                float(np.sqrt(max(covariance[last, last], 0.0))),
+                ends[last][0],
+                ends[last][1],
                 0.0,
                 self.most_delay,
             )

@@ -251,8 +251,8 @@ def _of_record(
     from asia.data.intake.sheet import Wanted
     from asia.data.trajectory import Signal
 
-    sampling_time, *stamps = times
-    known = survey(path, Wanted((), (), *stamps))
+    sampling_time, time, unit = times
+    known = survey(path, Wanted((), (), time, unit))
     inputs, outputs = (split_names(text, known.names) for text in columns)
     outputs = outputs or [name for name in known.outputs if name not in inputs]
     inputs = inputs or [name for name in known.inputs if name not in outputs]
@@ -260,7 +260,7 @@ def _of_record(
         raise UserError(f"{path}: name the columns by --inputs and --outputs")
     if len(inputs) > _MOST_INPUTS:
         raise UserError(f"{path}: {len(inputs)} inputs, expected at most {_MOST_INPUTS}")
-    wanted = Wanted(tuple(inputs), tuple(outputs), *stamps)
+    wanted = Wanted(tuple(inputs), tuple(outputs), time, unit)
     found = take_in([path], wanted, "train", sampling_time, 20)
     signals = [
         tuple(Signal(name, found.units.get(name, "")) for name in side)
@@ -316,9 +316,10 @@ def _of_file(path: Path, out: Path | None, options: RunOptions, *, to_tf: bool) 
             gains = [fold.gain[i, j] for fold in folds] + [model.gain[i, j]]
             reason = "" if low == 0.0 else f"no static gain, as it is {outside}"
             gain = stated(float(model.gain[i, j]), (min(gains), max(gains)), reason=reason)
-            lines.append(f"gain      {one} by {into}: {gain}")
+            lines.append(f"gain      {one.name} by {into.name}: {gain}")
     if to_tf:
-        lines += _transfer_lines(model, record.outputs, record.inputs, "z" if step else "s")
+        names = [[one.name for one in side] for side in (record.outputs, record.inputs)]
+        lines += _transfer_lines(model, names[0], names[1], "z" if step else "s")
     if known:
         lines.append(
             f"fit       the residual is {found.error:.3g} times its standard deviation, "
