@@ -11,6 +11,7 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia._plugins import parts_of
+from asia._progress import tracked
 from asia._text import one_line
 from asia.data.intake.sheet import Wanted
 from asia.data.trajectory import Array, Trajectory, data_digest, filled
@@ -469,8 +470,7 @@ class _Validation:
             long_run=lambda: long_run(given, self.evaluator.data.horizon, simulator),
         )
         checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
-        for name, check in validation_checks().items():
-            self.progress(name)
+        for name, check in tracked(tuple(validation_checks().items()), "check"):
             checks += _run_check(name, partial(check, data))
         return tuple(checks)
 

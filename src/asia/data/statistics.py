@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._progress import tracked
 from asia.data.frequency import find_period, frequency_response
 from asia.data.process import OutputTransfer, fit_transfer, is_constant, once_for_records
 from asia.data.relations import FoundTransport, find_transport
@@ -76,7 +77,7 @@ def transfers(records: tuple[Trajectory, ...]) -> tuple[OutputTransfer | None, .
     have too many signals."""
     found: list[OutputTransfer | None] = []
     (nu, ny) = records[0].u.shape[1], records[0].y.shape[1]
-    for output in range(ny):
+    for output in tracked(range(ny), "output"):
         try:
             found.append(fit_transfer(records, output) if nu * ny <= _MOST_PAIRS else None)
         except (UserError, np.linalg.LinAlgError):

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from asia._progress import tracked
 from asia._statement import Statement, stated
 from asia.data.frequency import FrequencyRecord
 from asia.data.statistics import integrating, needs_loop
@@ -235,7 +236,7 @@ def linearize(
     noise = np.array([np.std(one[np.isfinite(one)]) / np.sqrt(2.0) for one in apart.T])
     points: list[LinearPoint] = []
     signals = problem.inputs, problem.outputs
-    for asked in at or ("mean",):
+    for asked in tracked(at or ("mean",), "operating point"):
         name = asked
         if not isinstance(name, str):
             pairs = zip(problem.inputs, name, strict=True)

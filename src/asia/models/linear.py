@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from asia._progress import tracked
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data.process import ROUNDING
 from asia.data.trajectory import Array, Trajectory
@@ -266,7 +267,14 @@ class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
         def report(system: LinearSystem) -> list[ParameterEstimate]:
             found = invariants(system, f.scaling).items()
             rest = float("nan"), float("nan"), float("nan")
-            return [ParameterEstimate(n, v, *rest, units.get(n, "")) for n, v in found]
+            # Time constants and frequencies are positive.
+            return [
+                ParameterEstimate(
+                    n, v, *rest, units.get(n, ""),
+                    lower=np.finfo(float).tiny if n.endswith("]") else -np.inf,
+                )
+                for n, v in found
+            ]  # fmt: skip
 
         return system_estimates(f.system, records, report)
 
@@ -422,7 +430,7 @@ def _selected(
     if delay is None:
         modest = max(min(order or 2 + held, _affordable(part, config.max_order)), held)
         quick = Refinement(iterations=5, integrators=held)
-        for d in range(config.max_delay + 1):
+        for d in tracked(range(config.max_delay + 1), "delay"):
             error = fit([r.with_delay(d) for r in part], modest, quick).error
             delay_errors[d] = float(np.sqrt(error))
         limit = np.sqrt(1.02) * max(min(delay_errors.values()), rounding)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from asia._progress import tracked
 from asia._statement import LEAST_FIT, fit_note, stated
 from asia._text import say
 from asia.errors import UserError
@@ -499,7 +500,7 @@ def _fitted(
     from asia.analysis.process import fit_process
 
     found: list[ProcessFit | None] = []
-    for i in range(len(outputs)):
+    for i in tracked(range(len(outputs)), "output"):
         try:
             found.append(fit_process(records, i) if len(inputs) <= _MOST_INPUTS else None)
         except (UserError, ValueError):
