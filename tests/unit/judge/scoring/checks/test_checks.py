@@ -193,6 +193,22 @@ def test_a_smooth_function_of_the_rate_is_not_called_friction(random: np.random.
         assert flagged(tuple(motion)) == expected
 
 
+@pytest.mark.parametrize(
+    ("moves", "factor", "verdict"),
+    [(1.0, 1.0, Verdict.PASS), (1.0, -1.0, Verdict.FAIL), (0.0, 1.0, Verdict.SHOWN)],
+)
+def test_the_sign_of_a_gain_is_judged_where_the_records_have_it(
+    moves: float, factor: float, verdict: Verdict, random: np.random.Generator
+) -> None:
+    """With `moves` of 0 the output is noise beside the input."""
+    u = held_steps(random)
+    effect = signal.lfilter(B, A, u)
+    y = moves * effect + 0.1 * effect.std() * random.standard_normal(SAMPLES)
+    found = check_gain(without_responses(simulations(factor * effect, y, u)))
+    assert found.verdict is verdict
+    assert ("not tested" in found.sentence) is (verdict is Verdict.SHOWN)
+
+
 def test_a_long_run() -> None:
     t = np.arange(HORIZONS * 100.0)
     wave = np.sin(t)[:, None]
