@@ -12,7 +12,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 SILENCE = 4.0
-"""Seconds without a line after which one is printed; each pause is half as long again."""
+"""Seconds between lines, or a tenth of the elapsed time if that is longer."""
 
 
 @dataclass
@@ -80,9 +80,8 @@ def reported(command: str, say: Callable[[str], None]) -> Generator[None]:
     loops, done, begin = list[_Loop](), Event(), monotonic()
 
     def watch() -> None:
-        pause = SILENCE
-        while not done.wait(pause):
-            now, pause = monotonic(), 1.5 * pause
+        while not done.wait(max(SILENCE, 0.1 * (monotonic() - begin))):
+            now = monotonic()
             known = [(one.text, one.done, one.total, now - one.begin) for one in tuple(loops)]
             say(progress_line(command, now - begin, known))
 
