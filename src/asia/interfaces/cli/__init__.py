@@ -172,7 +172,7 @@ _BRIEF_HELP = {
 }
 """Options that `--help` of a command shows; `--help-all` shows the others too. Without an entry
 here `--help` shows all."""
-_PRINTING = (_run.run, extend.extend, view.view, demo.demo, _agent.try_)
+_PRINTING = (_run.run, extend.extend, view.view, demo.demo, doctor.doctor, _agent.try_)
 """Commands that print their own progress, or wait for others."""
 for _app, _commands, _panel in (
     (app, MAIN_COMMANDS, None),

@@ -21,7 +21,8 @@ def test_picture_that_cannot_be_written_is_a_note(
     assert done.err.endswith("; give --runs DIR or set ASIA_RUNS\n")
     monkeypatch.setenv("ASIA_RUNS", str(tmp_path / "elsewhere"))
     done = asia("check", "toy")
-    assert done.err == ""
+    # Lines of progress come on a slow machine alone.
+    assert all(line.startswith("check: ") for line in done.err.splitlines())
     assert f"picture  {tmp_path / 'elsewhere'}" in done.out
 
 
