@@ -351,3 +351,13 @@ def test_a_mode_that_a_zero_cancels_has_next_to_no_part_of_the_response() -> Non
         c = np.array([[0.1, 0.5 * part]])
         model = LinearModel(a, one, c, np.zeros((1, 1)), 1.0, one[:1, 0], one[:1, 0])
         assert model.mode_shares() == pytest.approx([1.0, part], rel=1e-9)
+
+
+def test_only_the_slowest_pole_has_the_interval_that_includes_one() -> None:
+    model = LinearModel(
+        np.diag([0.99, 0.7]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), 1.0, np.zeros(1),
+        np.zeros(1),
+    )  # fmt: skip
+    first, second = _pole_lines(_dynamics(model)["poles"], 1.0, (0.6, 1.02))
+    assert first.endswith("no time constant: its interval includes 1")
+    assert second.endswith("time constant 2.804 s")

@@ -633,7 +633,7 @@ def _pole_lines(
         slowest: band of the largest real pole
     """
     edge, nyquist = (1.0, 0.5 / step) if step else (0.0, np.inf)
-    memory = 0
+    memory, largest = 0, max((one["real"] for one in poles if one["imag"] <= 1e-12), default=edge)
     for one in poles:
         pole = complex(one["real"], one["imag"])
         if step and abs(pole) < _NO_DYNAMICS:
@@ -647,10 +647,10 @@ def _pole_lines(
         if abs(pole - edge) < 1e-6:
             yield f"{text} integrator"
             continue
-        near = slowest is not None and slowest[0] <= pole.real and slowest[1] >= 1.0
+        near = slowest is not None and slowest[1] >= 1.0 and pole.real >= largest
         if abs(pole) > 1.0 if edge else pole.real > 0.0:
             kind = "unstable"
-        elif near and abs(pole.imag) <= 1e-12:
+        elif near and pole.imag <= 1e-12:
             kind = "no time constant: its interval includes 1"
         elif one["withheld"]:
             yield f"{text} no time constant: {one['withheld']}"
