@@ -90,10 +90,10 @@ LAWS = [
     for pattern, dimension in {
         r"inputs\.(?P<i>\d)\.(minimum|maximum)": "u+",
         r"inputs\.(?P<i>\d)\.std": "u",
-        r"inputs\.(?P<i>\d)\.bandwidth": "/t",
+        r"inputs\.(?P<i>\d)\.bandwidth$": "/t",
         r"outputs\.(?P<o>\d)\.(minimum|maximum)": "y+",
         r"outputs\.(?P<o>\d)\.std": "y",
-        r"outputs\.(?P<o>\d)\.bandwidth": "/t",
+        r"outputs\.(?P<o>\d)\.bandwidth$": "/t",
         r"(in|out)puts\.(?P<i>\d)": "",
     }.items()
 ]
