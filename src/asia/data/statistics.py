@@ -767,10 +767,6 @@ def _late(values: Array, lag: int) -> Array:
     return columns[_LAGS - lag : len(columns) - lag]
 
 
-# Samples of the shortest rest: fewer at a limit may be the top of a motion.
-_SHORTEST_REST = 3
-
-
 # Variable transport delays set by an input: a flow in a pipe, the speed of a belt.
 
 
@@ -790,6 +786,13 @@ def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
     each = [find_transport(records, j) for j in paces[:_MOST_INPUTS]]
     likely = [f for f in each if f.ratio < _LARGEST_RATIO and f.delay > _LEAST_DELAY]
     return min(likely, key=lambda f: f.ratio, default=None)
+
+
+# Limits that an output is driven against.
+
+
+# Samples of the shortest rest: fewer at a limit may be the top of a motion.
+_SHORTEST_REST = 3
 
 
 @once_for_records
