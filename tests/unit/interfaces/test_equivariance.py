@@ -1,5 +1,6 @@
 """The numbers of `asia check` follow their signals: scaled, shifted, negated, permuted and renamed
-signals, reordered records and another unit of time change only the numbers that carry the unit."""
+signals, reordered records and another unit of time change only the numbers that carry the unit.
+Numbers of signals, weights and of the proposed model are compared; of sentences only the words."""
 
 from __future__ import annotations
 
@@ -95,6 +96,7 @@ LAWS = [
         r"outputs\.(?P<o>\d)\.std": "y",
         r"outputs\.(?P<o>\d)\.bandwidth$": "/t",
         r"(in|out)puts\.(?P<i>\d)": "",
+        r"proposal\.time_constants": "t",
     }.items()
 ]
 ENDS = {"low": "high", "minimum": "maximum", "at_minimum": "at_maximum", "lower": "upper"}
@@ -133,7 +135,7 @@ def as_original(document: Any, of: Transformation) -> dict[str, Any]:
                 factor *= of.y[places["o"]]
                 shift = of.y_shift if "+" in dimension else 0.0
             if "u" in dimension:
-                factor *= of.u[places["i"]] ** (-1.0 if "/u" in dimension else 1.0)
+                factor *= of.u[places["i"]]
                 shift = of.u_shift if dimension == "u+" else shift
             if "t" in dimension:
                 factor *= of.time ** (-1.0 if "/t" in dimension else 1.0)
@@ -147,8 +149,7 @@ def as_original(document: Any, of: Transformation) -> dict[str, Any]:
             value = re.sub(r"\b\w+\b", lambda m: back.get(m[0], m[0]), value)
             value = NUMBER.sub("#", value)
         elif isinstance(value, float) or (isinstance(value, int) and dimension):
-            value = abs(value / factor) if path.endswith(("error", "std")) else (
-                (value - shift) / factor)  # fmt: skip
+            value = (value - shift) / (abs(factor) if path.endswith("std") else factor)
         found[path] = value
     return found
 
@@ -175,9 +176,18 @@ def checked(of: Transformation, folder: Path) -> Any:
     report = check_problem(problem, seal(problem))
     signals = [asdict(one) for one in report.signals]
     verdict = judge_data(problem, report)
+    assert verdict.linear is not None
+    linear = verdict.linear
+    names = dict(zip(of.names(INPUTS), INPUTS[:: -1 if of.permuted else 1], strict=True))
     # Lines and doubts of channels come in the order of the channels.
     return {
         "inputs": signals[:2], "outputs": signals[2:],
+        "proposal": {
+            "order": linear.selection.order,
+            "order_errors": linear.selection.order_errors,
+            "delays": {names[name]: lag for name, lag in linear.delays.items()},
+            "time_constants": linear.time_constants,
+        },
         "weights": sorted(one.weight for one in report.doubts),
         "lines": sorted(as_text(one, of) for one in [*report.lines(), *verdict.lines()]),
     }  # fmt: skip
