@@ -264,6 +264,7 @@ def test_folds_that_whisper_are_unconfirmed(
         assert told.result.confirmation.sequential == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_small_edits_do_not_add_up(tmp_path: Path):
     problem = write_counted(tmp_path / "toy", guard=True)
     values = errors(problem)
@@ -300,6 +301,7 @@ def test_without_guard_records_a_result_is_doubtful_at_most(tmp_path: Path):
     assert unguarded(view) in judged.reasons
 
 
+@pytest.mark.slow
 def test_v_below_the_simulated_truth_is_an_alarm(tmp_path: Path):
     problem = load_problem("two_tanks_sim")
     problem = replace(problem, budget=replace(problem.budget, experiments=1, retests=0))
