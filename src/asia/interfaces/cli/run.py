@@ -572,8 +572,8 @@ class TextDisplay:
         ):
             if words:
                 self._print(f"{name:<8} {words}")
-        if view.looks:
-            self._print(f"guard    {guard_words(view)}")
+        if words := guard_words(view):
+            self._print(f"guard    {words}")
         references = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.references)
         self._print(f"references V: {references}")
 
