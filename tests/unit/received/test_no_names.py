@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import TypeAdapter
 
 from asia import _plugins
 from asia.agents.registry import recorded_agents
@@ -20,6 +21,7 @@ from asia.ledger.events import Started, adapter
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_lock, load_problem
+from asia.problem.schema import LockFile, ProblemFile
 from asia.problem.toml import toml_text
 from tests.unit.interfaces.cli.conftest import command_line
 
@@ -117,6 +119,37 @@ def replaced(value: Any, path: Sequence[str | int], new: str) -> Any:
     return copy
 
 
+def fields(kind: type) -> Iterator[tuple[str, ...]]:
+    """Paths of all fields of text in the schema of a file; `*` for an entry of a table or list."""
+    whole = TypeAdapter(kind).json_schema()
+
+    def below(one: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+        if "$ref" in one:
+            one = whole["$defs"][one["$ref"].rpartition("/")[2]]
+        for part in (*one.get("anyOf", ()), *one.get("oneOf", ()), *one.get("allOf", ())):
+            yield from below(part, path)
+        for name, part in one.get("properties", {}).items():
+            yield from below(part, (*path, name))
+        for entries in ("items", "additionalProperties"):
+            if isinstance(one.get(entries), dict):
+                yield from below(one[entries], (*path, f"*{entries}"))
+        if one.get("type") == "string":
+            yield path
+
+    yield from below(whole, ())
+
+
+def with_field(table: Any, path: Sequence[str], new: str) -> Any:
+    """A copy of a table with a text in a field that it may not have yet."""
+    if not path:
+        return new
+    if path[0] == "*items":
+        return [with_field({}, path[1:], new)]
+    name = "x" if path[0] == "*additionalProperties" else path[0]
+    known = table if isinstance(table, dict) else {}
+    return {**known, name: with_field(known.get(name, {}), path[1:], new)}
+
+
 def try_problem(folder: Path, table: Any, only: str = "problem.toml") -> None:
     (folder / only).write_text(toml_text(table))
     try:
@@ -142,7 +175,15 @@ def test_no_text_of_a_problem_file_names_code(finished: Path, tmp_path: Path, wa
             for name in NAMES:
                 try_problem(folder, replaced(table, path, name))
                 count += 1
-    assert count > 150
+    known = set(fields(ProblemFile))
+    assert {("control", "setpoints"), ("loop", "enters"), ("data", "guard")} < {
+        k[:2] for k in known
+    }
+    for path in known:
+        for table in (small, whole):
+            try_problem(folder, with_field(table, path, NAMES[0]))
+            count += 1
+    assert count > 150 + 2 * len(known)
     assert untouched(watch, tmp_path)
 
 
@@ -154,6 +195,8 @@ def test_no_text_of_a_lock_names_code(finished: Path, tmp_path: Path, watch: Wat
     for place in found:
         for name in NAMES:
             try_problem(finished, replaced(table, place, name), path.name)
+    for place in set(fields(LockFile)) - {("baseline",)}:
+        try_problem(finished, with_field(table, place, NAMES[0]), path.name)
     assert len(found) > 10
     assert untouched(watch, tmp_path)
 
