@@ -39,6 +39,8 @@ _NOISE_ORDERS = (0, 1, 2, 4, 8)
 _SHORTEST_LAG, _LONGEST_LAG = 0.05, 10.0
 # Relative distance that equal lags are set apart by.
 _APART = 2e-5
+# Difference of the logarithms of two lags below which the sum of squares is not quadratic in each.
+_ALIKE = 0.2
 # Iterations of a fit, and lags that the scan compares.
 _ITERATIONS, _SCANNED = 30, 12
 
@@ -787,14 +789,17 @@ class _Data:
         bounds: tuple[float, float],
     ) -> tuple[float, float]:
         """95 % interval of a coordinate: by the curvature where the sum of squares rises as it
-        says, else where the profile rises by as much."""
+        says, else where the profile rises by as much. Nearly equal lags have no curvature apart."""
         error = float(np.sqrt(max(covariance[k, k], 0.0)))
+        own = next(p for p in at.slices() if p.start <= k < p.stop)
+        lags = at.phi[own.start : own.stop - 1]
+        alike = k < own.stop - 1 and int((np.abs(lags - at.phi[k]) < _ALIKE).sum()) > 1
         ends: list[float] = []
         size = len(at.phi)
         rise = factor**2 * variance
         for sign, bound in ((-1.0, bounds[0]), (1.0, bounds[1])):
             plain = at.phi[k] + sign * factor * error
-            if error > 0 and (plain - bound) * sign <= 0:
+            if error > 0 and not alike and (plain - bound) * sign <= 0:
                 move = covariance[:size, k] / covariance[k, k] * sign * factor * error
                 low, high = self._bounds(at)
                 phi = at.phi + move
