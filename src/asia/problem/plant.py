@@ -17,6 +17,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from asia._files import read_file
+from asia._syntax import syntax_tree
 from asia._text import nearest
 from asia.errors import UserError
 
@@ -208,7 +209,7 @@ def load_plant(
 
 def _check_function(code: bytes, path: Path, function: str, arguments: str) -> None:
     try:
-        tree = ast.parse(code)
+        tree = syntax_tree(code.decode("utf-8"), path.name)
     except (SyntaxError, ValueError) as error:
         raise UserError(f"[plant] source: {path.name} is not valid Python: {error}") from error
     defined = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
