@@ -39,6 +39,7 @@ from asia.models._one_step import (
     build,
     candidate_lags,
     equations,
+    moments,
     refine,
     refinement_samples,
     selection,
@@ -225,18 +226,21 @@ def _runs(
     while degree > 1 and comb(size + degree, degree) > _MOST_PRODUCTS:
         degree -= 1
     terms = all_terms(size, degree)
-    x, y = equations(records, lags, terms)
-    gram, cross = x.T @ x, x.T @ y
-    chosen = [error_reduction_order(gram, cross[:, i], max(counts)) for i in range(cross.shape[1])]
+    chosen = [
+        (i, gram, side, error_reduction_order(gram, side, max(counts)))
+        for outputs, gram, cross in moments(*equations(records, lags, terms))
+        for i, side in zip(outputs.tolist(), cross.T, strict=True)
+    ]
     history, limits = fit_history(records, lags, context), OutputRange.of(records, config.margin)
     found: list[PolynomialRun] = []
     for count in counts:
         for ridge in ridges:
-            theta, used = np.zeros(cross.shape), np.zeros(cross.shape, bool)
-            for i, order in enumerate(chosen):
+            theta = np.zeros((len(terms), context.ny))
+            used = np.zeros(theta.shape, bool)
+            for i, gram, side, order in chosen:
                 kept = order[:count]
                 part = gram[np.ix_(kept, kept)]
-                theta[kept, i : i + 1] = solve(part, cross[kept, i : i + 1], ridge)
+                theta[kept, i : i + 1] = solve(part, side[kept, None], ridge)
                 used[kept, i] = True
             rows = used.any(axis=1)
             model = Polynomial(terms[rows], theta[rows], used[rows])

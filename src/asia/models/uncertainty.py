@@ -81,7 +81,7 @@ def sandwich(
         ridge: R (P, P) where the sum has theta' R theta in addition to the squares.
         nuisance: derivatives (T, ny, Q) by the unknowns of each record, such as its initial state.
         prior: prior knowledge in the same sum.
-        measured: masks (T,) of each record, positive where a sample is in the sum; None: all are.
+        measured: masks (T, ny) of each record, positive where an output is in the sum; None: all.
 
     Raises:
         ValueError: if the measured stretches are too short to show how residuals are correlated.
@@ -121,7 +121,7 @@ def sandwich(
     kept = max(1.0 - lost / squares, 0.05) if squares > 0 else 1.0
     samples = sum(e.size for e in residuals)
     if measured is not None:
-        samples = residuals[0].shape[1] * sum(int((mask > 0).sum()) for mask in measured)
+        samples = sum(int((mask > 0).sum()) for mask in measured)
     variance = squares / kept / samples
     rest = 1.0 if noise.restricted else kept
     spread = middle / rest + variance * held + known.weight * known.matrix
@@ -229,11 +229,11 @@ def jacobians_of(
 
 
 def _counted(parts: Sequence[Array], measured: Sequence[Array] | None) -> Sequence[Array]:
-    """Arrays (T, ...) of the records, 0 at samples that were not measured."""
+    """Arrays (T, ny, ...) of the records, 0 where an output was not measured."""
     if measured is None:
         return parts
     return [
-        np.where((mask > 0).reshape(-1, *[1] * (part.ndim - 1)), part, 0.0)
+        np.where((mask > 0).reshape(*mask.shape, *[1] * (part.ndim - 2)), part, 0.0)
         for part, mask in zip(parts, measured, strict=True)
     ]
 
@@ -245,12 +245,13 @@ def _stretches(
     if measured is None:
         return [(slice(0, len(e)),) for e in residuals]
     found: list[tuple[slice, ...]] = []
-    for mask in measured:
-        edges = np.flatnonzero(np.diff(np.pad((mask > 0).astype(int), 1))).reshape(-1, 2).tolist()
+    counted = [(mask > 0).all(axis=1) for mask in measured]
+    for mask in counted:
+        edges = np.flatnonzero(np.diff(np.pad(mask.astype(int), 1))).reshape(-1, 2).tolist()
         whole = len(edges) == 1  # a short record without a gap counts
         found.append(tuple(slice(a, b) for a, b in edges if whole or b - a >= _SHORTEST))
     used = sum(part.stop - part.start for parts in found for part in parts)
-    if 2 * used < sum(int((mask > 0).sum()) for mask in measured):
+    if 2 * used < sum(int((mask > 0).any(axis=1).sum()) for mask in measured):
         raise ValueError(
             f"most outputs were measured in stretches of less than {_SHORTEST} samples, too short "
             "to show how the errors are correlated in time"

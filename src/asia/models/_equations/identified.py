@@ -50,9 +50,9 @@ class Around:
             )
         fitted, x0, whiten = self.fitted, self.fitted.x0, None
         if fitted.noise is not None:
-            mask = segments.mask
+            mask = segments.counts
             if structure.measured:
-                mask = mask * (np.arange(mask.shape[1]) > 0)
+                mask = mask * (np.arange(mask.shape[1]) > 0)[:, None]
             whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
         error = SimulationError(
             structure,
@@ -68,7 +68,7 @@ class Around:
         lengths = [int(np.flatnonzero(mask > 0)[-1]) + 1 for mask in segments.mask]
         residuals, jacobians, own, masks = (
             [part[:length] for part, length in zip(values, lengths, strict=True)]
-            for values in (e, jacobian, nuisance, segments.mask)
+            for values in (e, jacobian, nuisance, segments.counts)
         )
         gaps = any((mask <= 0).any() for mask in masks)
         held, known, weight = error.penalties(theta)

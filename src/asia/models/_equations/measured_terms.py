@@ -160,7 +160,7 @@ def _errors(
     y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.features, windows.u)
     error = y - windows.y
     if windows.weight is not None:
-        error = windows.weight[..., None] * error
+        error = windows.weight * error
     return error[:, _EVERY - 1 :: _EVERY].ravel()
 
 

@@ -39,7 +39,7 @@ from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     contiguous_splits,
-    measured_samples,
+    measured_weight,
     past_length,
     past_windows,
     side_by_side,
@@ -336,7 +336,7 @@ def unseen_errors(
         for kept, left, regression in splits:
             candidate = fit(kept, order, refinement)
             encoder = encoder_of(kept, candidate, context, regression)
-            count = context.ny * sum(float(r.counts[past:].sum()) for r in left)
+            count = sum(float(r.counts[past:].sum()) for r in left)
             error = unseen_error(left, candidate, encoder, context) / max(count, 1.0)
             logs.append(np.log(error + 1e-300))
         errors.append(float(np.exp(0.5 * np.mean(logs))))
@@ -366,7 +366,7 @@ def unseen_error(
     for r in (r for r in records if len(r) > start):
         x0 = encoder(past_windows(r, context)[:1])
         _, y = fitted.system.simulate(x0, r.u[None, start:])
-        total += float((r.counts[start:, None] * (y[0] - r.y[start:]) ** 2).sum())
+        total += float((r.counts[start:] * (y[0] - r.y[start:]) ** 2).sum())
     return total
 
 
@@ -570,7 +570,7 @@ class ScaledRecord:
 
     u: Array  # (T, nu)
     y: Array  # (T, ny)
-    counts: Array  # (T,): 1 where every output was measured, else 0
+    counts: Array  # (T, ny): 1 where an output was measured, else 0
 
 
 def delayed_records(
@@ -581,7 +581,7 @@ def delayed_records(
         ScaledRecord(
             scaling.inputs(t.u)[: len(t) - delay],
             scaling.outputs(t.y)[delay:],
-            measured_samples(t)[delay:],
+            measured_weight(t)[delay:],
         )
         for t in trajectories
     ]
@@ -615,8 +615,7 @@ def system_estimates(
         responses.append(undisturbed.simulate(np.eye(n), rest)[1].transpose(1, 2, 0))
         forced = system.simulate(np.zeros((1, n)), record.u[None])[1][0]
         here = record.counts > 0
-        flat = responses[-1][here].reshape(-1, n)
-        starts.append(np.linalg.lstsq(flat, (record.y - forced)[here].ravel())[0])
+        starts.append(np.linalg.lstsq(responses[-1][here], (record.y - forced)[here])[0])
 
     def residuals(theta: Array) -> list[Array]:
         other = LinearSystem(*unpacked(theta, shapes))
@@ -640,7 +639,7 @@ def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
     samples = len(record.u)
     if samples <= _LONG:
         return system.simulate(x0[None], record.u[None])[1][0] - record.y
-    every = np.broadcast_to(np.float64(1.0), samples)
+    every = np.broadcast_to(np.float64(1.0), record.y.shape)
     scaled = ScaledTrajectory(record.u, record.y, every, record.u, every)
     return -LongResponse([scaled], float(record.y.size), system, x0[None]).misfit(0)
 

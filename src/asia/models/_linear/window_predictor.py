@@ -19,6 +19,7 @@ from asia.models._numerics.training_records import (
     contiguous_splits,
     cut_windows,
     mean_square,
+    output_groups,
     past_length,
 )
 
@@ -122,20 +123,21 @@ def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowP
     """Least squares on all one-step predictions inside the windows; `ridge` weighs, against the
     mean square of the signals, the distance from `held`."""
     s, from_u, from_y = lags.shift()
-    x, rows = lags.state(windows.features), []
+    x, regressors = lags.state(windows.features), list[Array]()
     for k in range(windows.u.shape[1]):
         u, y = windows.u[:, k], windows.y[:, k]
-        rows.append(_regressors(x, u))
+        regressors.append(_regressors(x, u))
         x = x @ s + u @ from_u + y @ from_y
-    phi = np.concatenate(rows)
+    phi = np.concatenate(regressors)
     target = np.swapaxes(windows.y, 0, 1).reshape(len(phi), -1)
-    if windows.weight is not None:
-        known = windows.weight.T.ravel() > 0
-        phi, target = phi[known], target[known]
-    gram = phi.T @ phi + ridge * len(phi) * np.eye(phi.shape[1])
+    weight = np.ones_like(windows.y) if windows.weight is None else windows.weight
     rest = held(lags)
-    theta = rest + np.linalg.solve(gram, phi.T @ (target - phi @ rest))
-    return WindowPredictor(lags, np.asarray(theta, np.float64))
+    theta = rest.copy()
+    for rows, outputs in output_groups(np.swapaxes(weight, 0, 1).reshape(target.shape)):
+        z, apart = phi[rows], target[rows][:, outputs] - phi[rows] @ rest[:, outputs]
+        gram = z.T @ z + ridge * len(z) * np.eye(z.shape[1])
+        theta[:, outputs] += np.linalg.solve(gram, z.T @ apart)
+    return WindowPredictor(lags, theta)
 
 
 def held(lags: WindowLags) -> Array:
@@ -153,7 +155,7 @@ def refined(
     plus `ridge` times the squared distance from `held`."""
     rest, samples = held(start.lags), windows.y.size
     if windows.weight is not None:
-        samples = max(float(windows.weight.sum()) * windows.y.shape[-1], 1.0)
+        samples = max(float(windows.weight.sum()), 1.0)
 
     def objective(model: WindowPredictor) -> float:
         return model.error(windows) + ridge * float(((model.theta - rest) ** 2).sum())
@@ -248,8 +250,8 @@ def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Ar
         y = phi @ model.theta
         rows, error = moved.reshape(-1, size), windows.y[:, k] - y
         if windows.weight is not None:
-            error = windows.weight[:, k, None] * error
-            rows = np.repeat(windows.weight[:, k], lags.ny)[:, None] * rows
+            error = windows.weight[:, k] * error
+            rows = windows.weight[:, k].reshape(-1, 1) * rows
         gram += rows.T @ rows
         gradient += rows.T @ error.ravel()
         x = x @ s + u @ from_u + y @ from_y

@@ -138,7 +138,7 @@ class InnovationFilter(NamedTuple):
 def innovation_filter(
     noise: ResidualNoise, sampling_time: AnyArray, mask: AnyArray
 ) -> InnovationFilter:
-    """Make the Kalman filter for samples that count where mask (..., T) is positive.
+    """Make the Kalman filter for outputs that count where mask (..., T, ny) is positive.
 
     A sample that does not count leaves the filter to its prediction, so that padding and gaps
     change no other innovation. Deviations must be positive in sum; all fields may have leading
@@ -147,7 +147,7 @@ def innovation_filter(
     xp = namespace(mask, *noise)
     keep = xp.exp(-sampling_time / noise.time)
     slow, white = noise.slow**2, noise.white**2
-    counts = xp.moveaxis(mask, -1, 0)[..., None] > 0
+    counts = xp.moveaxis(mask, -2, 0) > 0
 
     def step(predicted: AnyArray, here: AnyArray) -> tuple[AnyArray, AnyArray]:
         variance = predicted + white
@@ -211,7 +211,7 @@ def estimate_noise(
 
     Args:
         residual: (S, T, ny).
-        mask: (S, T), positive where a residual counts.
+        mask: (S, T, ny), positive where a residual counts.
         sampling_time: in s.
         choice: given and estimated parts.
         floor: least deviation (ny,).
@@ -220,7 +220,7 @@ def estimate_noise(
     length = min(residual.shape[1], 20_000)
     rows = spread(len(residual), max(1, 20_000 // length))
     residual, mask = residual[rows, :length], mask[rows, :length]
-    ny, samples = residual.shape[-1], max(float((mask > 0).sum()), 1.0)
+    ny, samples = residual.shape[-1], np.maximum((mask > 0).sum(axis=(0, 1)), 1.0)
 
     def likelihoods(time: Array, ratio: Array) -> tuple[Array, Array]:
         return _scaled_likelihoods(residual, mask, sampling_time, choice.huber, time, ratio)
@@ -280,7 +280,7 @@ def _scaled_likelihoods(
 
     Args:
         residual: (S, T, ny).
-        mask: (S, T), positive where a residual counts.
+        mask: (S, T, ny), positive where a residual counts.
         sampling_time: in s.
         huber: threshold on the innovations.
         time: time constants (G, ny).
@@ -292,10 +292,10 @@ def _scaled_likelihoods(
     wide = time[:, None], ratio[:, None]
     unit = ResidualNoise(*wide, np.ones_like(wide[0]))
     through = innovation_filter(unit, sampling_time, mask)
-    inside = mask[..., None] > 0
+    inside = mask > 0
     weight = np.where(inside, through.weight, 1.0)
     error = innovations(through, residual)
-    axes, samples = (1, 2), max(float(inside.sum()), 1.0)
+    axes, samples = (1, 2), np.maximum(inside.sum(axis=(0, 1)), 1.0)
     squares = (error**2).sum(axis=axes)
     tiny = np.finfo(float).tiny
     size = np.sqrt(np.maximum(squares / samples, tiny))
@@ -343,8 +343,8 @@ class ErrorWeighting:
     def of(
         cls, noise: ResidualNoise, sampling_time: float, mask: Array, huber: float | None
     ) -> ErrorWeighting:
-        """Make the weighting of errors in the unit of the noise model, where mask (S, T) is
-        positive."""
+        """Make the weighting of errors in the unit of the noise model, where mask (S, T, ny)
+        is positive."""
         unit = float(np.sqrt(noise.variance.mean()))
         return cls(innovation_filter(noise, sampling_time, mask), unit, huber)
 

@@ -57,7 +57,14 @@ class SignalTransformations:
         """Each record in z-scores of transformed records, followed by its transformations, which
         keep the z-scores."""
         return [
-            replace(r, u=r.u @ turn_u.T, y=r.y @ turn_y.T, measured_u=r.measured_u @ turn_u.T)
+            replace(
+                r,
+                u=r.u @ turn_u.T,
+                y=r.y @ turn_y.T,
+                measured_u=r.measured_u @ turn_u.T,
+                weight=_weighed(r.weight, turn_y),
+                counts=_weighed(r.counts, turn_y),
+            )
             for r in records
             for turn_u, turn_y in self._elements()
         ]
@@ -93,6 +100,11 @@ class SignalTransformations:
             after.append(state)
             outputs.append(y @ turn_y)
         return after, mean(outputs)
+
+
+def _weighed(weight: Array, turn: Array) -> Array:
+    """Weights of turned outputs, each 0 where an output that it is made of does not count."""
+    return 1.0 - ((weight <= 0) @ (turn.T != 0))
 
 
 def _turned(missing: Mask | None, turn: Array) -> Mask | None:

@@ -65,9 +65,9 @@ class ScaledTrajectory:
 
     u: Array  # (T, nu), as they act
     y: Array  # (T, ny)
-    weight: Array  # (T,), 0 where a sample does not count
+    weight: Array  # (T, ny), 0 where an output does not count
     measured_u: Array  # (T, nu), the inputs as past windows show them, where u is delayed
-    counts: Array  # (T,), 0 where an output was not measured; the `weight` of a whole fit
+    counts: Array  # (T, ny), 0 where an output was not measured; the `weight` of a whole fit
     filled: bool = False  # Outputs that were not measured are those of a model
 
     def __len__(self) -> int:
@@ -126,20 +126,35 @@ def check(trajectories: Sequence[Trajectory], context: Context) -> None:
 
 
 def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledTrajectory]:
-    """Scale all samples of each record to z-scores. A sample counts where every output was
-    measured."""
+    """Scale all samples of each record to z-scores. Each output counts where it was measured."""
     found: list[ScaledTrajectory] = []
     for t in trajectories:
-        u, counts = scaling.inputs(t.u), measured_samples(t)
+        u, counts = scaling.inputs(t.u), measured_weight(t)
         found.append(ScaledTrajectory(u, scaling.outputs(t.y), counts, u, counts))
     return found
 
 
-def measured_samples(record: Trajectory) -> Array:
-    """Mask (T,): 1 where every output was measured, else 0; read-only where all were."""
+def measured_weight(record: Trajectory) -> Array:
+    """Weight (T, ny) of the outputs of a training record in every fit: 1 where measured, 0 in the
+    gaps, where `record.y` has values without influence; read-only where all were measured."""
     if record.missing is None:
-        return np.broadcast_to(np.float64(1.0), len(record))
-    return np.asarray(record.measured.all(axis=1), dtype=np.float64)
+        return np.broadcast_to(np.float64(1.0), record.y.shape)
+    return np.asarray(record.measured, dtype=np.float64)
+
+
+def output_groups(weight: Array) -> list[tuple[Indices | slice, Indices | slice]]:
+    """Rows of a regression in which an output counts, and the outputs with these same rows.
+
+    Args:
+        weight: (N, ny), 0 where an output does not count
+    """
+    counts = weight > 0
+    if counts.all():
+        return [(slice(None), slice(None))]
+    masks, group = np.unique(counts, axis=1, return_inverse=True)
+    return [
+        (np.flatnonzero(mask), np.flatnonzero(group.ravel() == i)) for i, mask in enumerate(masks.T)
+    ]
 
 
 def flat_past(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
@@ -162,7 +177,7 @@ def window_rows(records: ScaledData, context: Context) -> list[Indices | slice]:
         return [slice(None)] * len(records)
     found: list[Indices | slice] = []
     for r in records:
-        lost = np.concatenate([[0], np.cumsum(r.counts == 0)])
+        lost = np.concatenate([[0], np.cumsum((r.counts == 0).any(axis=1))])
         rows = np.arange(past, len(r))
         found.append(np.flatnonzero(lost[rows] == lost[rows - context.n_past_y]))
     enough = _ENOUGH * sum(max(0, len(r) - past) for r in records)
@@ -207,7 +222,10 @@ def reweighted(
     records: ScaledData, masks: Sequence[NDArray[np.bool_]], keep: bool
 ) -> list[ScaledTrajectory]:
     """Keep the weight of records only where the mask equals `keep`."""
-    return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
+    return [
+        replace(r, weight=r.weight * (m == keep)[:, None])
+        for r, m in zip(records, masks, strict=True)
+    ]
 
 
 def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
@@ -256,7 +274,7 @@ class PaddedBatch:
     window: AnyArray  # Past window of each (R, d)
     u: AnyArray  # (R, T, nu)
     y: AnyArray  # (R, T, ny)
-    weight: AnyArray  # (R, T), zero in the padding
+    weight: AnyArray  # (R, T, ny), zero in the padding
     lengths: tuple[int, ...]  # Samples of each, without the padding
     past_u: AnyArray
     """Inputs as past windows show them (R, n_past_u + T, nu): sample k's window begins at k."""
@@ -335,7 +353,7 @@ class HorizonWindows(NamedTuple):
     features: Any  # Past windows, flattened (W, d)
     u: Any  # Inputs after them (W, H, nu)
     y: Any  # Outputs after them (W, H, ny)
-    weight: Any = None  # (W, H), 0 where an output was not measured; None where all samples count
+    weight: Any = None  # (W, H, ny), 0 where an output was not measured; None where all count
 
     def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
         """Apply a function to every array."""
@@ -381,11 +399,10 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
 
 
 def mean_square(error: Array, weight: Array | None) -> float:
-    """Mean square of errors (W, H, ny) where weight (W, H) is 1."""
+    """Mean square of errors (W, H, ny) where weight (W, H, ny) is 1."""
     if weight is None:
         return float((error**2).mean())
-    total = max(float(weight.sum()) * error.shape[-1], 1.0)
-    return float((weight[..., None] * error**2).sum()) / total
+    return float((weight * error**2).sum()) / max(float(weight.sum()), 1.0)
 
 
 def _weight(counts: Array) -> Array | None:
