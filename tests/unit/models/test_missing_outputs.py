@@ -9,18 +9,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from asia.agents.library.family import Family
 from asia.agents.library.registry import all_families
 from asia.agents.view import Facts
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
+from asia.models._linear.fit import solve_linear_part
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import output_groups, scaled
 from asia.problem.folds import cut
 from asia.problem.physics import ParameterRange, Physics
 from asia.problem.plant import Plant, Unknown
 from asia.problem.protocol import ProtocolRule
 
 PAST, EVERY, LENGTH = 5, 10, 400
+QUICK = {"arx", "esn", "greybox"}
 NAMES = ("first", "second")
 PHYSICS = Physics(
     states=NAMES,
@@ -113,7 +119,46 @@ def error(y: Array) -> float:
 every_family = pytest.mark.parametrize(
     "row",
     [
-        pytest.param(r, id=r.name, marks=pytest.mark.slow if r.kind == "network" else ())
+        pytest.param(r, id=r.name, marks=() if r.name in QUICK else pytest.mark.slow)
         for r in all_families()
     ],
 )
+
+
+@every_family
+def test_gaps_of_one_output_cost_the_other_nothing(row: Family) -> None:
+    """The second output is measured at every tenth sample. The error of the first one stays, and a
+    value given where an output is missing changes no simulated sample."""
+    if row.name == "kinematic":
+        pytest.skip("no output of two tanks is the integral of the other")
+    full = list(whole_records())
+    few = [seldom(r) for r in full]
+    hidden = [replace(r, y=np.where(r.measured, r.y, 50.0)) for r in few]
+    context = problem_of(row)
+    found = simulated(fitted(row, few), context)
+    assert error(found) <= 1.3 * error(simulated(fitted(row, full), context))
+    assert simulated(fitted(row, hidden), context).tobytes() == found.tobytes()
+
+
+@given(st.integers(0, 1000))
+def test_gaps_in_one_output_leave_the_regression_rows_of_the_other(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    weight = np.ones((50, 3))
+    weight[:, 1] = rng.random(50) < 0.2
+    rows = {
+        int(i): np.arange(50)[at]
+        for at, outputs in output_groups(weight)
+        for i in np.arange(3)[outputs]
+    }
+    assert all(np.array_equal(rows[i], np.flatnonzero(weight[:, i])) for i in range(3))
+
+
+def test_an_unmeasured_value_weighs_nothing_in_the_simulation_error() -> None:
+    """The same where no straight line hides the value: residuals are multiplied by the weight."""
+    record = seldom(tanks(0))
+    (one,) = scaled([record], Scaling.of([record]))
+    other = replace(one, y=np.where(one.weight > 0, one.y, 1e3))
+    a, c = np.diag([0.9, 0.8]), np.eye(2)
+    solved = [solve_linear_part([r], a, c) for r in (one, other)]
+    assert solved[0].system.b.tobytes() == solved[1].system.b.tobytes()
+    assert solved[0].error == solved[1].error
