@@ -28,7 +28,7 @@ SUCCEEDED, REFUSED = "attack succeeded: ", "attack refused: "
 _MEMORY_MB = 1024
 _CLEAR_GAIN = 0.8
 _CANDIDATE = """
-import ctypes, errno, gc, os, pickle, socket, sys, threading, time
+import _thread, ctypes, errno, gc, os, pickle, socket, sys, threading, time
 import numpy as np
 
 globals().update(GIVEN)
@@ -90,7 +90,7 @@ def crowd():
     go = threading.Event()
     try:
         for _ in range(THREADS):
-            threading.Thread(target=go.wait, args=(20,), daemon=True).start()
+            _thread.start_new_thread(go.wait, (20,))
     finally:
         go.set()
 

@@ -246,7 +246,7 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
         rel=1e-6,
     )
     assert (folder / "linear.png").stat().st_size > 10_000
-    assert "process models fitted to the training records, with 95 % intervals" in shown.out
+    assert "process models fitted to the records, with 95 % intervals" in shown.out
     # The response of the model itself, with an error of 10 %.
     model = LinearModel(*(np.array(first[name]) for name in "ABCD"), 4.0, np.zeros(1), np.zeros(1))
     f = np.geomspace(1e-4, 0.1, 30)

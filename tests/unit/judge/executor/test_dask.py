@@ -64,7 +64,7 @@ def go(
     if not (root / "toy").is_dir():
         write_problem(root / "toy", experiments=6)
     problem = load_problem(root / "toy")
-    problem = replace(problem, budget=replace(problem.budget, fit_seconds=60.0))
+    problem = replace(problem, budget=replace(problem.budget, fit_seconds=150.0))
     runs = root / ("here" if executor is None else "there")
     ready = prepare(problem, "scripted", seed=0, runs=runs, parallel=parallel)
     return search(ready, agent, on_event, lambda view: None, executor)
@@ -250,10 +250,10 @@ def test_an_interrupted_search_leaves_the_machines(cluster: Cluster) -> None:
             begin.append(time.monotonic())
             raise KeyboardInterrupt
 
-    source = SLOW.format(seconds=50.0)
+    source = SLOW.format(seconds=110.0)
     with pytest.raises(KeyboardInterrupt):
         go(cluster.folder, executor, 3, Ahead((source, source + "# 2\nX = 1\n")), stop)
-    assert time.monotonic() - begin[0] < 20.0
+    assert time.monotonic() - begin[0] < 60.0
     with pytest.raises(SandboxError, match="interrupted"):
         executor.carry(lambda r, d, u: b"", b"", "", b"")
     executor.close()
@@ -263,5 +263,5 @@ def test_an_interrupted_search_leaves_the_machines(cluster: Cluster) -> None:
     assert len(states) == 2
     went = go(cluster.folder / "again", after, 2, Ahead((arx(2),)))
     assert len(went.finished) == 2
-    assert time.monotonic() - start < 45.0, "the workers were still busy"
+    assert time.monotonic() - start < 100.0, "the workers were still busy"
     after.close()
