@@ -32,7 +32,7 @@ def masks() -> Array:
 
 def test_innovations_are_those_of_the_dense_whitener() -> None:
     mask, residual = masks(), np.random.default_rng(0).normal(size=(3, SAMPLES, 2))
-    found = innovations(innovation_filter(NOISE, DT, mask), residual)
+    found = innovations(innovation_filter(NOISE, DT, mask[..., None]), residual)
     for row in range(3):
         assert_array_equal(found[row, mask[row] == 0], 0.0)
         for output in range(2):
@@ -42,15 +42,15 @@ def test_innovations_are_those_of_the_dense_whitener() -> None:
 
 def test_numpy_and_jax_agree() -> None:
     mask, residual = masks(), np.random.default_rng(1).normal(size=(3, SAMPLES, 2))
-    expected = innovations(innovation_filter(NOISE, DT, mask), residual)
+    expected = innovations(innovation_filter(NOISE, DT, mask[..., None]), residual)
     with jax.enable_x64(True):
-        through = jax.jit(innovation_filter)(NOISE, DT, mask)
+        through = jax.jit(innovation_filter)(NOISE, DT, mask[..., None])
         assert_allclose(np.asarray(jax.jit(innovations)(through, residual)), expected, atol=1e-10)
 
 
 def test_what_does_not_count_changes_nothing() -> None:
     mask, residual = masks(), np.random.default_rng(2).normal(size=(3, SAMPLES, 2))
-    through = innovation_filter(NOISE, DT, mask)
+    through = innovation_filter(NOISE, DT, mask[..., None])
     other = np.where(mask[..., None] > 0, residual, 1e6)
     assert_array_equal(innovations(through, other), innovations(through, residual))
 
