@@ -58,7 +58,7 @@ def test_what_does_not_count_changes_nothing() -> None:
 @pytest.mark.parametrize("huber", [None, 2.0])
 def test_white_noise_of_one_output_leaves_errors_as_they_are(huber: float | None) -> None:
     white = ResidualNoise(np.array([DT]), np.array([0.0]), np.array([0.3]))
-    weigh = ErrorWeighting.of(white, DT, np.ones((1, SAMPLES)), huber)
+    weigh = ErrorWeighting.of(white, DT, np.ones((1, SAMPLES, 1)), huber)
     error = np.random.default_rng(3).uniform(-0.5, 0.5, size=(1, SAMPLES, 1))
     assert_allclose(weigh(error), error, atol=1e-12)
     weighed = weigh(10.0 * error)
