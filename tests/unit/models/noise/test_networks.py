@@ -74,7 +74,7 @@ def test_the_objective_squares_innovations(huber: float | None) -> None:
     loss = white**2
     if huber is not None:
         loss = np.where(np.abs(white) < huber, loss, 2 * huber * np.abs(white) - huber**2)
-    expected = noise.variance.mean() * loss.sum() / (2 * counted.sum())
+    expected = noise.variance.mean() * loss.sum() / counted.sum()
     assert_allclose(float(found), expected, rtol=1e-4)
 
 
