@@ -21,6 +21,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._progress import tracked
 from asia.data.trajectory import Array
 from asia.lowering.linear import LinearModel, discretize, minimal
 from asia.lowering.program import LoweredModel
@@ -586,7 +587,7 @@ def design(
         fast = 0.0 if unstable else math.log(4.0 / _FASTER / max(figures.settling, 1e-9))
         return min(max(0.1 * slow, 0.1 * fast, 0.0), _PREFERRED)
 
-    for structure in tried:
+    for structure in tracked(tried, "structure"):
         bounds = [(-3.0, math.log(_SPEED * fastest))] + [(-8.0, 8.0)] * structure.parameters
         sought = differential_evolution(
             losses, bounds, args=(structure, _RESERVE),
@@ -1190,7 +1191,7 @@ def design_in_simulation(loop: Loop, wanted: Specification, designer: Designer) 
     times."""
     parts = designer(loop, wanted)
     asked, made = wanted, _simulated(*parts, wanted)
-    for _ in range(_TRIES - 1):
+    for _ in tracked(range(_TRIES - 1), "try"):
         longest = max(one.settling for one in [*made.judged, *made.figures])
         if parts[1].violated or not made.shortfalls or not math.isfinite(longest):
             break

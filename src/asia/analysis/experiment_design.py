@@ -22,6 +22,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from asia._progress import tracked
 from asia.data.trajectory import Array, Signal, filled
 from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Simulator
@@ -392,7 +393,7 @@ def design_experiment(
     whole = np.concatenate(starts)
     smaller = [limits.rest + share * (whole - limits.rest) for share in _SMALLER]
     best = judge(limits.scaled(np.concatenate(smaller)[:_BATCH], _ENERGY))
-    for _ in range(generations):
+    for _ in tracked(range(generations), "generation"):
         best = sorted(best, key=lambda one: one.rank, reverse=True)[:_KEPT]
         children = np.stack([_changed(rng, best, limits, rise) for _ in range(_BATCH)])
         best += judge(limits.scaled(children, _ENERGY))

@@ -19,6 +19,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from asia._progress import tracked
 from asia.data.trajectory import Array
 from asia.lowering.derivatives import jacobian
 from asia.lowering.evaluation import evaluate
@@ -373,7 +374,7 @@ def alarm_threshold(nis: Sequence[Array], count: int, rate: float, seed: int = 0
     known = sum(map(len, nis)) * count
     wider = 1.0 + math.sqrt(2.0 / known) if known else 1.0
     found: list[float] = []
-    for one in drawn:
+    for one in tracked(drawn, "draw"):
         total = np.cumsum(increments(wider * one, count), axis=1)
         statistic = total - np.minimum.accumulate(np.minimum(total, 0.0), axis=1)
         statistic[:, 0] = 0.0
@@ -510,7 +511,7 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     best = np.array([math.log(1.0 - slow), math.log(slow), math.log(pole / (1.0 - pole)), -9.0])
     # Random search that narrows around the best, all trials of a round at once.
     rng, width = np.random.default_rng(0), np.array([1.0, 2.0, 1.5, 4.0])
-    for _ in range(_ROUNDS):
+    for _ in tracked(range(_ROUNDS), "round"):
         trials = best + width * np.vstack([np.zeros(4), rng.normal(size=(_TRIALS - 1, 4))])
         noises = [noise(theta) for theta in trials]
         with np.errstate(all="ignore"):

@@ -5,9 +5,11 @@ al., Process Dynamics and Control, chapter 7.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from asia._statement import LEAST_FIT, Statement, stated
 from asia.candidate import ParameterEstimate
 from asia.data.process import (
     InputTransfer,
@@ -20,11 +22,6 @@ from asia.data.trajectory import Trajectory
 from asia.lowering.linear import ProcessModel
 
 __all__ = ["ProcessFit", "ProcessStructure", "fit_process"]
-
-# Fit in percent below which parameters are withheld.
-_LEAST_FIT = 80.0
-# Ratio of the ends of an interval of a lag from which the records do not determine it.
-_WIDE = 10.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +42,11 @@ class ProcessFit:
     """Whether the records begin at rest."""
     fit: float
     """100 (1 - |error| / |output - mean|), in percent."""
+
+    def statement(self, number: int, parameter: int, unit: str = "") -> Statement:
+        """Statement of a parameter of an input."""
+        one = self.parameters[number][parameter]
+        return _stated(one, one.unit or unit)
 
 
 def fit_process(
@@ -88,13 +90,20 @@ def _reason(transfer: OutputTransfer, one: InputTransfer | None) -> str:
         return "the input does not move"
     if not one.acts:
         return "no effect of the input is seen"
-    if transfer.fit < _LEAST_FIT:
-        return f"the process models fit {max(transfer.fit, 0.0):.0f} %, below {_LEAST_FIT:g} %"
+    if transfer.fit < LEAST_FIT:
+        return f"the process models fit {max(transfer.fit, 0.0):.0f} %, below {LEAST_FIT:g} %"
     if one.gain.low * one.gain.high <= 0:
         return "its gain may be zero"
-    if any(not lag.high < _WIDE * max(lag.low, 1e-300) for lag in one.lags[:1]):
+    if any(_stated(lag).interval is None for lag in one.lags[:1]):
         return "the records do not determine its longest time constant"
     return ""
+
+
+def _stated(one: Interval | ParameterEstimate, unit: str = "") -> Statement:
+    """Statement of a gain, a time constant or a delay."""
+    bound = "lower" if one.value <= one.lower else "upper" if one.value >= one.upper else ""
+    interval = one.low, one.high
+    return stated(one.value, interval, unit, at_bound=bound, positive=one.lower > 0.0)
 
 
 def _parameters(one: InputTransfer, step: float) -> tuple[ParameterEstimate, ...]:
@@ -108,8 +117,16 @@ def _parameters(one: InputTransfer, step: float) -> tuple[ParameterEstimate, ...
 
 
 def _estimate(name: str, value: Interval, unit: float, label: str) -> ParameterEstimate:
+    low, high = _stated(value).interval or (math.nan, math.nan)
     return ParameterEstimate(
-        name, value.value * unit, value.error * unit, value.low * unit, value.high * unit, label
+        name,
+        unit * value.value,
+        unit * value.error,
+        unit * low,
+        unit * high,
+        label,
+        unit * value.lower,
+        unit * value.upper,
     )
 
 

@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
+from asia._progress import tracked
 from asia.analysis.control import (
     ControlledPlant,
     Design,
@@ -269,10 +270,10 @@ def _design(
                 return True
         return False
 
-    found = next((k for k, weight in enumerate(tried) if meets(weight)), 0)
+    found = next((k for k, weight in enumerate(tracked(tried, "weight")) if meets(weight)), 0)
     if found:
         high, low = tried[found - 1], tried[found]
-        for _ in range(_HALVINGS):
+        for _ in tracked(range(_HALVINGS), "halving"):
             middle = math.sqrt(high * low)
             high, low = (high, middle) if meets(middle) else (middle, low)
     if best is None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia._plugins import parts_of
+from asia._progress import tracked
 from asia._text import one_line
 from asia.data.intake.sheet import Wanted
 from asia.data.trajectory import Array, Trajectory, data_digest, filled
@@ -387,7 +388,8 @@ class _Validation:
         held = [float(np.mean(f.errors)) for f in errors]
         named = identified(self.run)
         apart = () if named is None else named.disagreeing
-        return (check_overfit(train, held, found, apart),)
+        numbers = [f.numbers for f in errors if f.numbers is not None]
+        return (check_overfit(train, held, found, apart, max(numbers, default=None)),)
 
     def _training_records(self) -> tuple[Check, ...]:
         """Show which checks do not pass on the training records of a fold, which agents see and
@@ -468,8 +470,7 @@ class _Validation:
             long_run=lambda: long_run(given, self.evaluator.data.horizon, simulator),
         )
         checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
-        for name, check in validation_checks().items():
-            self.progress(name)
+        for name, check in tracked(tuple(validation_checks().items()), "check"):
             checks += _run_check(name, partial(check, data))
         return tuple(checks)
 

@@ -77,7 +77,9 @@ class BadSamples:
         return (
             f"{self.signal} is frozen at {self.value:g} in {place}, while inputs move, "
             f"{self.statistic:.2g} times as long as at any other rest: the sensor may have failed "
-            "there; leave these cells empty, or name the rows in [[data.missing]]"
+            "there; leave these cells empty, or add to [data] of problem.toml: missing = "
+            f'[{{ signal = "{self.signal.partition(" ")[2]}", record = "{self.record}", '
+            f"rows = [{self.first}, {self.last}] }}]"
         )
 
 

@@ -26,13 +26,14 @@ from asia.errors import UserError
 
 T = TypeVar("T")
 
+ROUNDING = 1e-10
+"""Variance of the error, over that of the output, below which errors are rounding."""
+
 # Samples that a fit takes from the records, from the first on.
 _MOST_SAMPLES = 6_000
 # Decrease of the Bayesian information criterion that an effect, an integrator, or a motion at the
 # start must reach.
 _EVIDENCE = 10.0
-# Variance of the error, over that of the output, below which errors are rounding.
-_ROUNDING = 1e-10
 # Orders of the noise's filter; the shortest and longest lag, in samples and in record lengths.
 _NOISE_ORDERS = (0, 1, 2, 4, 8)
 _SHORTEST_LAG, _LONGEST_LAG = 0.05, 10.0
@@ -71,6 +72,10 @@ class Interval:
     error: float
     low: float
     high: float
+    lower: float = -math.inf
+    """Least value that the fit searched."""
+    upper: float = math.inf
+    """Greatest value that the fit searched."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +214,8 @@ class _State:
     @property
     def criterion(self) -> float:
         """Bayesian information criterion."""
-        variance = self.squares / max(self.rows, 1) + _ROUNDING
+        # Rounding passes the filter of the noise too.
+        variance = self.squares / max(self.rows, 1) + ROUNDING * float(self.noise @ self.noise)
         count = len(self.phi) + self.weights
         return self.rows * math.log(variance) + count * math.log(max(self.rows, 2))
 
@@ -423,11 +429,8 @@ class _Data:
         """Coefficients of the autoregressive filter that whitens the errors, by least Bayesian
         information criterion."""
         plain = replace(at, noise=np.ones(1))
-        x, y = self._design(plain)
-        own = self._design(at)
-        scale = np.maximum(np.linalg.norm(own[0], axis=0), 1e-300)
-        weights = np.linalg.lstsq(own[0] / scale, own[1], rcond=1e-10)[0] / scale
-        errors, place, parts = y - x @ weights, 0, list[Array]()
+        # A constant that the present filter hides would pass for noise.
+        errors, place, parts = self._solved(plain)[2], 0, list[Array]()
         for seen in self.seen:
             kept = self._kept(seen, at.skipped, 0)
             part = np.full(len(seen), np.nan)
@@ -442,32 +445,37 @@ class _Data:
         lagged = lagged[np.isfinite(lagged).all(axis=1)]
         if len(lagged) < max(40, self.samples // 2):
             return best[1]
+        products = lagged.T @ lagged / len(lagged) + ROUNDING * np.eye(most + 1)
         for order in _NOISE_ORDERS:
-            theta = np.linalg.lstsq(lagged[:, 1 : order + 1], lagged[:, 0], rcond=1e-10)[0]
-            left = lagged[:, 0] - lagged[:, 1 : order + 1] @ theta
-            variance = float((left**2).mean()) + 0.01 * _ROUNDING
-            value = len(left) * math.log(variance) + order * math.log(len(left))
+            own = slice(1, order + 1)
+            theta = np.linalg.lstsq(products[own, own], products[own, 0], rcond=1e-10)[0]
+            variance = float(products[0, 0] - theta @ products[own, 0])
+            value = len(lagged) * math.log(variance) + order * math.log(len(lagged))
             if value < best[0]:
                 best = value, np.concatenate([[1.0], -theta])
         return best[1]
 
     def start(self, structures: tuple[ProcessStructure, ...]) -> _State:
         """Best fit of these structures, at rest or in motion at the start."""
-        rest = self._from_scan(structures)
-        here = self._whitened(self._searched(rest))
-        states = sum(s.lags for s in structures)
-        if min(self.lengths) > 4 * (states + len(structures)):
-            delays = [float(here.phi[p][-1]) for p in here.slices()]
-            moving = replace(here, at_rest=False, skipped=math.ceil(max(delays)))
-            if moving.skipped < 0.5 * min(self.lengths):
-                # Both are compared on the same rows.
-                same = self._solved(replace(here, skipped=moving.skipped))[0]
-                # The filter of the noise may hide a motion at the start.
-                plain = [replace(one, noise=np.ones(1)) for one in (moving, same)]
-                if self._solved(plain[0])[0].criterion < self._solved(plain[1])[0].criterion:
-                    moving = self._whitened(self._searched(plain[:1]))
-                    if moving.criterion < same.criterion - _EVIDENCE:
-                        here = moving
+        return self._moved(self._whitened(self._searched(self._from_scan(structures))))
+
+    def _moved(self, here: _State) -> _State:
+        """The state, or that of records in motion at the start where there is evidence for it."""
+        states = sum(s.lags for s in here.structures)
+        if not here.at_rest or min(self.lengths) <= 4 * (states + len(here.structures)):
+            return here
+        delays = [float(here.phi[p][-1]) for p in here.slices()]
+        moving = replace(here, at_rest=False, skipped=math.ceil(max(delays)))
+        if moving.skipped >= 0.5 * min(self.lengths):
+            return here
+        # Both are compared on the same rows.
+        same = self._solved(replace(here, skipped=moving.skipped))[0]
+        # The filter of the noise may hide a motion at the start.
+        plain = [replace(one, noise=np.ones(1)) for one in (moving, same)]
+        if self._solved(plain[0])[0].criterion < self._solved(plain[1])[0].criterion:
+            moving = self._whitened(self._searched(plain[:1]))
+            if moving.criterion < same.criterion - _EVIDENCE:
+                return moving
         return here
 
     def _from_scan(self, structures: tuple[ProcessStructure, ...]) -> list[_State]:
@@ -574,7 +582,8 @@ class _Data:
                         continue
                     tried = self._extended(best, j, larger)
                     refused.add((j, larger))
-                    if tried.criterion < best.criterion and self._resolved(tried, j):
+                    same = self._solved(replace(best, skipped=tried.skipped))[0]
+                    if tried.criterion < same.criterion and self._resolved(tried, j):
                         best, progress = tried, True
                         break
         return best
@@ -615,9 +624,10 @@ class _Data:
             np.concatenate([s if k == j else at.phi[p] for k, p in enumerate(places)])
             for s in starts
         ]
-        quick = [self.improved(replace(at, structures=structures, phi=p), 5) for p in made]
-        found = self.improved(min(quick, key=lambda one: one.squares))
-        return self.improved(replace(found, noise=self._noise_of(found)), 12)
+        # The filter of the smaller model takes its errors for noise.
+        plain = replace(at, structures=structures, noise=np.ones(1))
+        quick = [self.improved(replace(plain, phi=p), 5) for p in made]
+        return self._moved(self._whitened(self.improved(min(quick, key=lambda one: one.squares))))
 
     def _resolved(self, at: _State, j: int) -> bool:
         """Whether the lags of an input are apart from their bounds and from its zero."""
@@ -673,14 +683,21 @@ class _Data:
                 Interval(
                     float(np.exp(at.phi[i])),
                     float(np.exp(at.phi[i]) * np.sqrt(max(covariance[i, i], 0.0))),
-                    *(float(v) for v in np.exp(ends[i])),
+                    math.exp(ends[i][0]),
+                    math.exp(ends[i][1]),
+                    math.exp(low[i]),
+                    math.exp(high[i]),
                 )
                 for i in range(p.start, p.stop - 1)
             ]
+            last = p.stop - 1
             delay = Interval(
-                float(at.phi[p.stop - 1]),
-                float(np.sqrt(max(covariance[p.stop - 1, p.stop - 1], 0.0))),
-                *ends[p.stop - 1],
+                float(at.phi[last]),
+                float(np.sqrt(max(covariance[last, last], 0.0))),
+                ends[last][0],
+                ends[last][1],
+                0.0,
+                self.most_delay,
             )
             first, fits = self._first(at, j, delay, weights, variance)
             adequate = adequate and fits
@@ -763,7 +780,7 @@ class _Data:
             start += own
             basis = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))[0]
             left = y - basis @ (basis.T @ y)
-            ratio = (float(left @ left) / len(y) + _ROUNDING) / (at.squares / len(y) + _ROUNDING)
+            ratio = (float(left @ left) / len(y) + ROUNDING) / (at.squares / len(y) + ROUNDING)
             count = own + place.stop - place.start
             found.append(len(y) * math.log(ratio) > count * math.log(len(y)) + _EVIDENCE)
         return found

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._progress import tracked
 from asia.data.frequency import find_period, frequency_response
 from asia.data.process import OutputTransfer, fit_transfer, is_constant, once_for_records
 from asia.data.relations import FoundTransport, find_transport
@@ -76,7 +77,7 @@ def transfers(records: tuple[Trajectory, ...]) -> tuple[OutputTransfer | None, .
     have too many signals."""
     found: list[OutputTransfer | None] = []
     (nu, ny) = records[0].u.shape[1], records[0].y.shape[1]
-    for output in range(ny):
+    for output in tracked(range(ny), "output"):
         try:
             found.append(fit_transfer(records, output) if nu * ny <= _MOST_PAIRS else None)
         except (UserError, np.linalg.LinAlgError):
@@ -771,6 +772,10 @@ def _late(values: Array, lag: int) -> Array:
     return columns[_LAGS - lag : len(columns) - lag]
 
 
+# Samples of the shortest rest: fewer at a limit may be the top of a motion.
+_SHORTEST_REST = 3
+
+
 # Variable transport delays set by an input: a flow in a pipe, the speed of a belt.
 
 
@@ -790,6 +795,31 @@ def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
     each = [find_transport(records, j) for j in paces[:_MOST_INPUTS]]
     likely = [f for f in each if f.ratio < _LARGEST_RATIO and f.delay > _LEAST_DELAY]
     return min(likely, key=lambda f: f.ratio, default=None)
+
+
+@once_for_records
+def limit_shares(records: tuple[Trajectory, ...]) -> tuple[tuple[float, float], ...]:
+    """Share of the samples of each output at its least and at its greatest value, reached more than
+    once and held while inputs move. A signal at rest, or a frozen one, is at no limit."""
+    spread = np.concatenate([r.u for r in records]).std(axis=0)
+    found: list[tuple[float, float]] = []
+    for j in range(records[0].y.shape[1]):
+        values = np.concatenate([r.y[r.measured[:, j], j] for r in records])
+        low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
+        near, shares = 1e-6 * (high - low), list[float]()
+        for sign, end in ((1.0, low), (-1.0, high)):
+            held: list[int] = []
+            for r in records:
+                at = (sign * (r.y[:, j] - end) <= near) & r.measured[:, j]
+                edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]])))
+                for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+                    u = r.u[first : first + max(2 * (last - first) // 3, 1)]
+                    moves = (u.std(axis=0) > 0.3 * spread)[spread > 0].any()
+                    if moves or last - first < _SHORTEST_REST:
+                        held.append(last - first)
+            shares.append(sum(held) / max(len(values), 1) if len(held) > 1 else 0.0)
+        found.append((shares[0], shares[1]))
+    return tuple(found)
 
 
 def plateau_share(records: Sequence[Trajectory]) -> float:

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
+from asia._progress import tracked
+from asia._statement import Statement, stated
 from asia.data.frequency import FrequencyRecord
-from asia.data.statistics import integrating
+from asia.data.statistics import integrating, needs_loop
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.pipeline import measured
@@ -21,6 +23,7 @@ from asia.lowering.linear import (
     LinearModel,
     OperatingPoint,
     fold_band,
+    is_integrating,
     joined,
     linearised,
     operating_points,
@@ -68,32 +71,51 @@ class LinearPoint:
 
     @property
     def mode_bands(self) -> list[tuple[Array, Array] | None]:
-        """90 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
-        the nearest modes of the fold models; None where fewer than two of them have one. That of
-        the frequency is computed on a logarithmic scale and ends at half the sampling frequency;
-        that of the damping ends at -1 and 1."""
-        from scipy.optimize import linear_sum_assignment
+        """As the function `mode_bands`."""
+        return mode_bands(self.model, self.folds)
 
-        own, step = self.model.modes(), self.model.sampling_time
-        matched: list[list[Array]] = [[] for _ in own]
-        for fold in self.folds:
-            modes = [mode for mode in fold.modes() if mode[1] > 0.0]
-            distance = np.array([[abs(a[0] - b[0]) for b in modes] for a in own])
-            if distance.size:
-                for i, j in zip(*linear_sum_assignment(distance), strict=True):
-                    matched[i].append(np.array([np.log(modes[j][1]), modes[j][2]]))
-        found: list[tuple[Array, Array] | None] = []
-        for (_, frequency, damping, _), others in zip(own, matched, strict=True):
-            if len(others) < 2 or not frequency > 0.0:
-                found.append(None)
-                continue
-            ends = fold_band(np.array([np.log(frequency), damping]), others)
-            most = max(frequency, 0.5 / step)
-            low, high = (
-                np.array([min(np.exp(min(f, 700.0)), most), np.clip(z, -1.0, 1.0)]) for f, z in ends
-            )
-            found.append((low, high))
-        return found
+    @property
+    def slowest_band(self) -> tuple[float, float] | None:
+        """90 % band of the largest real pole by the fold models; None without them."""
+        real = [
+            one.poles.real[abs(one.poles.imag) < 1e-12].max(initial=-np.inf)
+            for one in (self.model, *self.folds)
+        ]
+        if len(self.folds) < 2 or not np.isfinite(real).all():
+            return None
+        low, high = fold_band(np.array(real[0]), [np.array(one) for one in real[1:]])
+        return float(low), float(high)
+
+
+def mode_bands(
+    model: LinearModel, folds: Sequence[LinearModel]
+) -> list[tuple[Array, Array] | None]:
+    """90 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by the
+    nearest modes of the fold models; None where fewer than two of them have one. That of the
+    frequency is computed on a logarithmic scale and ends at half the sampling frequency; that of
+    the damping ends at -1 and 1."""
+    from scipy.optimize import linear_sum_assignment
+
+    own, step = model.modes(), model.sampling_time
+    matched: list[list[Array]] = [[] for _ in own]
+    for fold in folds:
+        modes = [mode for mode in fold.modes() if mode[1] > 0.0]
+        distance = np.array([[abs(a[0] - b[0]) for b in modes] for a in own])
+        if distance.size:
+            for i, j in zip(*linear_sum_assignment(distance), strict=True):
+                matched[i].append(np.array([np.log(modes[j][1]), modes[j][2]]))
+    found: list[tuple[Array, Array] | None] = []
+    for (_, frequency, damping, _), others in zip(own, matched, strict=True):
+        if len(others) < 2 or not frequency > 0.0:
+            found.append(None)
+            continue
+        ends = fold_band(np.array([np.log(frequency), damping]), others)
+        most = max(frequency, 0.5 / step) if step else np.inf
+        low, high = (
+            np.array([min(np.exp(min(f, 700.0)), most), np.clip(z, -1.0, 1.0)]) for f, z in ends
+        )
+        found.append((low, high))
+    return found
 
 
 @dataclass(frozen=True)
@@ -116,6 +138,46 @@ class LinearRun:
     noise: Array
     """Standard deviation (ny,) of the measurement noise: of the changes of the residuals from
     sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
+    fit: float | None = None
+    """100 (1 - V) of the best experiment, in percent."""
+
+    def is_unstable(self, point: LinearPoint) -> bool:
+        """Whether a mode grows, in the model or in the records."""
+        if self.integrating:
+            return False
+        return point.model.is_unstable or needs_loop(self.records)
+
+    def no_rest(self, point: LinearPoint) -> str:
+        """Reason that the plant has no resting point and no static gain there; "" where it has."""
+        if self.is_unstable(point):
+            return "the plant is unstable"
+        if self.integrating or is_integrating(point.model):
+            return "the plant integrates"
+        band = point.slowest_band
+        if band is not None and band[1] >= 1.0:
+            return (
+                f"the interval of the slowest pole, {band[0]:.4g} to {band[1]:.4g}, includes 1: "
+                "the plant may integrate"
+            )
+        return ""
+
+    def gain(
+        self, point: LinearPoint, i: int, j: int
+    ) -> tuple[Literal["gain", "slope"], Statement]:
+        """Static gain from input j to output i, or the slope gain beside an integrator."""
+        out, into = self.outputs[i], self.inputs[j]
+        unit = f"{out.unit or '1'}/{into.unit or '1'}" if out.unit or into.unit else ""
+        reason = self.no_rest(point)
+        if self.is_unstable(point):
+            return "gain", stated(0.0, None, unit, reason=reason)
+        if i in self.integrating or (reason and not self.integrating):
+            value, band = point.model.slope_gain[i, j], point.slope_gain_band
+            ends = None if band is None else (float(band[0][i, j]), float(band[1][i, j]))
+            unit = f"{out.unit or '1'}/{into.unit or '1'}/s"
+            return "slope", stated(float(value), ends, unit)
+        band = None if self.integrating else point.gain_band
+        ends = None if band is None else (float(band[0][i, j]), float(band[1][i, j]))
+        return "gain", stated(float(point.model.gain[i, j]), ends, unit)
 
 
 def linearize(
@@ -174,7 +236,7 @@ def linearize(
     noise = np.array([np.std(one[np.isfinite(one)]) / np.sqrt(2.0) for one in apart.T])
     points: list[LinearPoint] = []
     signals = problem.inputs, problem.outputs
-    for asked in at or ("mean",):
+    for asked in tracked(at or ("mean",), "operating point"):
         name = asked
         if not isinstance(name, str):
             pairs = zip(problem.inputs, name, strict=True)
@@ -216,7 +278,13 @@ def linearize(
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
         tuple(records), problem.responses, integrating(records), noise,
+        _fit(opened),
     )  # fmt: skip
+
+
+def _fit(run: Run) -> float | None:
+    best = run.view.best
+    return None if best is None or best.score is None else 100.0 * (1.0 - best.score.value)
 
 
 @dataclass(frozen=True)

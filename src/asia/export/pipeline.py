@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from asia._files import write_file
 from asia._plugins import Part, parts_of
+from asia._progress import tracked
 from asia._text import suggestion
 from asia.data.preprocess import Preprocess
 from asia.data.trajectory import Array, Signal
@@ -393,7 +394,7 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
     kept_delays(done, inputs)
     evaluator = make_evaluator(problem, run.view, isolation=isolation)
     parts: list[tuple[float, LoweredModel]] = []
-    for member in members:
+    for member in tracked(members, "model"):
         models = [run.store.get(one) for one in member.models]
         with loading_stored_models(run.view):
             found = evaluator.models.lowered(run.store.text(member.source), models)

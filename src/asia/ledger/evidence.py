@@ -12,6 +12,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from asia._statement import Statement, stated
 from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
@@ -532,12 +533,19 @@ class IdentifiedParameter:
     @property
     def interval(self) -> tuple[float, float] | None:
         """The 95 % interval to quote: the widest of those by noise, by the folds, and by a missing
-        effect; None where it is open."""
-        low, high = self.fitted.low, self.fitted.high
-        if low is None or high is None:
-            return None
-        wide = max(self._by_folds, self.fitted.misfit_error)
-        return interval_ends(self.fitted.value, low, high, self.fitted.lower, wide)
+        effect; None where it is withheld."""
+        return self.statement.interval
+
+    @property
+    def statement(self) -> Statement:
+        """The value with its interval, or why that is withheld."""
+        one = self.fitted
+        ends = None
+        if one.low is not None and one.high is not None:
+            wide = max(self._by_folds, one.misfit_error)
+            ends = interval_ends(one.value, one.low, one.high, one.lower, wide)
+        positive = one.lower is not None and one.lower > 0.0
+        return stated(one.value, ends, one.unit, at_bound=one.at_bound, positive=positive)
 
     @property
     def decided_by(self) -> Literal["noise", "folds", "missing effect"]:
@@ -606,6 +614,8 @@ class IdentifiedModel:
     """As in `EstimatedModel`."""
     source: str = FITTED
     """As in `EstimatedModel`."""
+    fit: float | None = None
+    """100 (1 - V) of the winner, in percent."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -678,9 +688,10 @@ def identified(run: Run) -> IdentifiedModel | None:
     findings = findings_of(run.store, run.view.experiment(refitted.experiment), bounded=False)
     tables = [dict(one.parameters) for one in findings]
     rows = with_fold_values(fitted, tables, jackknife=not one_sided)
+    score = run.view.experiment(refitted.experiment).score
     return IdentifiedModel(
         refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library,
-        fitted.reason, fitted.source,
+        fitted.reason, fitted.source, None if score is None else 100.0 * (1.0 - score.value),
     )  # fmt: skip
 
 

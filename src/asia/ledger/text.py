@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from statistics import fmean, median
 from typing import Any
 
+from asia._statement import NOT_IDENTIFIABLE, fit_note
 from asia._text import coarse, one_line
 from asia.judge.evaluation.results import POOR
 from asia.judge.evaluation.training_checks import TrainingCheck
@@ -253,7 +254,6 @@ def decision_text(e: Experiment, view: SearchView) -> str:
 # Identified parameters.
 
 _MOST_PAIRS = 5
-_NOT_IDENTIFIABLE = "not identifiable from these records"
 
 
 def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
@@ -282,7 +282,7 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
             reached = f" ({end:g})" if "end of its range" in remark else ""
             alike.setdefault(remark, []).append(f"{fitted.name}{reached}")
     yield from (f"  {remark}: {', '.join(names)}" for remark, names in alike.items())
-    if any(remark == _NOT_IDENTIFIABLE for remark in alike):
+    if any(remark == NOT_IDENTIFIABLE for remark in alike):
         yield (
             "  other values of these simulate the records nearly as well: the verdict is on the "
             "simulation, not on them"
@@ -300,8 +300,9 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
 def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Iterator[str]:
     """Why to distrust the value of a parameter."""
     fitted, ends = one.fitted, one.interval
-    if not (fitted.identifiable or found.reason):
-        yield _NOT_IDENTIFIABLE
+    wide = one.statement.reason == NOT_IDENTIFIABLE
+    if wide or not (fitted.identifiable or found.reason):
+        yield NOT_IDENTIFIABLE
     elif ends is not None and ends[1] - ends[0] > abs(fitted.value):
         yield "interval wider than the value"
     if fitted.at_bound:
@@ -330,7 +331,9 @@ def fold_text(one: IdentifiedParameter) -> str:
 
 
 def interval_lines(found: IdentifiedModel) -> Iterator[str]:
-    """Why there is no interval, or why one is wider than noise makes it."""
+    """Why there is no interval, or why one is wider than noise makes it, and a poor fit."""
+    if found.parameters and (note := fit_note(found.fit)):
+        yield note
     if found.reason:
         yield f"no standard errors and intervals: {one_line(found.reason, 400)}"
     apart = found.disagreeing

@@ -244,8 +244,8 @@ def _whole_records(
         known = np.isin(rows - past, np.arange(len(r) - past)[at])
         before.append(states[rows[known] - 1])
         seen.append(past_windows(r, context)[rows[known] - past])
-    parts = (np.concatenate(values) for values in (features, responses, weights))
-    return fit_encoder(seen, before), *parts
+    x, y, weight = (np.concatenate(values) for values in (features, responses, weights))
+    return fit_encoder(seen, before), x, y, weight
 
 
 def _horizon_segments(

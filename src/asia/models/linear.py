@@ -15,7 +15,9 @@ from typing import Any, get_args
 
 import numpy as np
 
+from asia._progress import tracked
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
+from asia.data.process import ROUNDING
 from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, check_choice, demand
@@ -265,7 +267,14 @@ class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
         def report(system: LinearSystem) -> list[ParameterEstimate]:
             found = invariants(system, f.scaling).items()
             rest = float("nan"), float("nan"), float("nan")
-            return [ParameterEstimate(n, v, *rest, units.get(n, "")) for n, v in found]
+            # Time constants and frequencies are positive.
+            return [
+                ParameterEstimate(
+                    n, v, *rest, units.get(n, ""),
+                    lower=np.finfo(float).tiny if n.endswith("]") else -np.inf,
+                )
+                for n, v in found
+            ]  # fmt: skip
 
         return system_estimates(f.system, records, report)
 
@@ -417,13 +426,14 @@ def _selected(
     delay, order, held = config.delay, config.order, config.integrators
     delay_errors: dict[int, float] = {}
     order_errors: dict[int, float] = {}
+    rounding = ROUNDING**0.5
     if delay is None:
         modest = max(min(order or 2 + held, _affordable(part, config.max_order)), held)
         quick = Refinement(iterations=5, integrators=held)
-        for d in range(config.max_delay + 1):
+        for d in tracked(range(config.max_delay + 1), "delay"):
             error = fit([r.with_delay(d) for r in part], modest, quick).error
             delay_errors[d] = float(np.sqrt(error))
-        limit = np.sqrt(1.02) * min(delay_errors.values())
+        limit = np.sqrt(1.02) * max(min(delay_errors.values()), rounding)
         delay = next(d for d, error in delay_errors.items() if error <= limit)
     if order is None:
         quick = replace(refinement, iterations=min(refinement.iterations, 15))
@@ -433,7 +443,7 @@ def _selected(
         tried = range(least, highest + 1)
         errors = unseen_errors(late, context, tried, quick)
         order_errors = dict(zip(tried, errors, strict=True))
-        limit = min(errors) * (1 + config.tolerance)
+        limit = max(min(errors), rounding) * (1 + config.tolerance)
         order = next((n for n, error in order_errors.items() if error <= limit), least)
     return Selection(order, delay, order_errors, delay_errors)
 

@@ -14,7 +14,7 @@ from asia.data.bad_samples import find_bad_samples
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
 from asia.data.process import is_constant
 from asia.data.relations import Repetition, find_repetition
-from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback
+from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback, limit_shares
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.feedback import loop_lines
@@ -221,6 +221,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
     doubts: list[Doubt] = []
     if problem.channels.time_step is None:
         doubts += [d for s in signals for d in _signal_doubts(s)]
+        doubts += _limit_doubts(problem)
         doubts += _collinear_inputs(problem)
         doubts += data_doubts(problem)
         doubts += _repeated_inputs(problem)
@@ -312,24 +313,32 @@ def _signal_doubts(check: SignalCheck) -> list[Doubt]:
             "frequencies"
         )
         return [Doubt(text, 0.9, "a random binary or multisine input on " + name)]
-    limits = ((check.at_minimum, check.minimum), (check.at_maximum, check.maximum))
-    doubts = [
-        Doubt(
-            f"{name} is at its limit {value:g} {check.signal.unit}".rstrip()
-            + f" in {share:.1%} of the samples: it may saturate there",
-            0.25 + share,
-            f"smaller inputs, so that {name} stays away from {value:g}",
-        )
-        for share, value in limits
-        if share > 0.01
-    ]
     if check.bandwidth_share < 0.005:
         text = (
             f"{name} is sampled much faster than it changes (99 % of its power below "
             f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may suffice"
         )
-        doubts.append(Doubt(text, 0.2))
-    return doubts
+        return [Doubt(text, 0.2)]
+    return []
+
+
+def _limit_doubts(problem: Problem) -> list[Doubt]:
+    """Outputs that inputs drive against a limit."""
+    y = np.concatenate([t.y for t in problem.train])
+    ends = zip(y.min(axis=0).tolist(), y.max(axis=0).tolist(), strict=True)
+    return [
+        Doubt(
+            f"output {output.name} is at its limit {value:g} {output.unit}".rstrip()
+            + f" in {share:.1%} of the samples: it may saturate there",
+            0.25 + share,
+            f"smaller inputs, so that output {output.name} stays away from {value:g}",
+        )
+        for output, limits, shares in zip(
+            problem.outputs, ends, limit_shares(problem.train), strict=True
+        )
+        for value, share in zip(limits, shares, strict=True)
+        if share > 0.01
+    ]
 
 
 def _collinear_inputs(problem: Problem) -> list[Doubt]:

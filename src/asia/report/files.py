@@ -12,6 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from asia._diagnostic import diagnostic
+from asia._progress import tracked
 from asia.data.trajectory import Signal
 from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.ledger.chain import write_whole
@@ -270,7 +271,7 @@ def save(
     failed = [] if failed is None else failed
     directory.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
-    for name, draw in drawn:
+    for name, draw in tracked(tuple(drawn), "picture"):
         with drawing():
             figure, before = Figure(figsize=(6.0, 1.5)), len(failed)
             with diagnostic(f"picture {name}", failed):

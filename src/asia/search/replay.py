@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from asia._progress import tracked
 from asia.agents.registry import recorded_agents
 from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, DivergedError
 from asia.errors import InternalError, UserError
@@ -170,7 +171,7 @@ class _Replaying:
                 agent.attach(journals[-1])
         self._references([event for event in events if isinstance(event, ReferenceScored)])
         asked: dict[int, Replayed] = {}
-        for place, event in enumerate(events):
+        for place, event in enumerate(tracked(events, "event")):
             match event:
                 case Proposed():
                     before = replay(events[:place])

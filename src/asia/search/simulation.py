@@ -12,6 +12,7 @@ from typing import get_args, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._progress import tracked
 from asia._text import one_line
 from asia.data.trajectory import Array, filled, real_numbers
 from asia.errors import CandidateError, Reason, UserError
@@ -330,7 +331,7 @@ def simulate_members(
     """Simulations (K, H, ny) of each block whose mean is that of the members. Raises
     CandidateError, and UserError as `loading_stored_models`."""
     total = [np.zeros((1, *block.y.shape)) for block in blocks]
-    for member in members:
+    for member in tracked(members, "model"):
         models = [run.store.get(one) for one in member.models]
         with loading_stored_models(run.view):
             replies = evaluator.models.simulate(run.store.text(member.source), models, blocks)

@@ -10,6 +10,7 @@ from typing import get_args
 import numpy as np
 
 from asia._diagnostic import diagnostic
+from asia._progress import tracked
 from asia.data.trajectory import Array, Trajectory, data_digest
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -192,7 +193,7 @@ class _TestScorer:
     def score(self, members: Sequence[FinalMember]) -> TestedModel | Failure:
         """The score of the weighted mean of the members' simulations, or why there is none."""
         total: list[Array] = [np.zeros_like(block.y) for block in self.blocks]
-        for member in members:
+        for member in tracked(members, "model"):
             answers = self._simulated(replace(member, weight=1.0))
             if isinstance(answers, Failure):
                 return answers
@@ -254,7 +255,7 @@ class _TestScorer:
     def _each_simulation(self, members: Sequence[FinalMember]) -> list[Array] | None:
         """Simulations (K, H, ny) of each block with the members' mean; None where one fails."""
         total: list[Array] = [np.zeros((1, *block.y.shape)) for block in self.blocks]
-        for member in members:
+        for member in tracked(members, "model"):
             answers = self._simulated(replace(member, weight=1.0))
             if isinstance(answers, Failure):
                 return None

@@ -146,3 +146,13 @@ def test_statements_are_withheld_from_an_input_without_effect_and_a_poor_fit() -
     noisy = fit_process([Trajectory(u, (y + y.std() * rng.normal(size=500))[:, None], 1.0, "r")])
     assert noisy.models[0] is None
     assert "below 80 %" in noisy.withheld[0]
+
+
+def test_a_noise_free_record_in_motion_at_its_start_gives_the_lags_that_made_it() -> None:
+    """The filter of the noise does not take what a missing lag leaves for noise."""
+    true = ProcessModel(1.5, (6.0, 3.0), 0.0, 0.0, False, 0.0)
+    u = np.repeat(np.random.default_rng(3).uniform(-1, 1, 70), 6)[:400]
+    found = fit_process([Trajectory(u[:, None], response(true, u)[:, None], 1.0, "r")])
+    assert found.models[0] is not None
+    assert found.models[0].lags == pytest.approx((6.0, 3.0), rel=1e-3)
+    assert found.fit > 99.9

@@ -4,6 +4,7 @@ command line."""
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import control
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
+from asia.data import Signal, Trajectory
 from asia.errors import UserError
-from asia.export.linear import LinearPoint
-from asia.interfaces.cli.linear import _pole_lines
+from asia.export.linear import LinearPoint, LinearRun
+from asia.interfaces.cli.linear import _dynamics, _pole_lines
 from asia.lowering.derivatives import derivatives
 from asia.lowering.linear import (
     LinearModel,
@@ -166,9 +169,10 @@ def test_bands_hold_all_fold_models_and_need_two_of_the_same_order() -> None:
 
 def test_poles_without_dynamics_in_the_sampled_model_are_named() -> None:
     poles = np.diag([0.9, 1e-6, 0.0, 0.01])
-    lines = list(_pole_lines(LinearModel(
+    model = LinearModel(
         poles, np.ones((4, 1)), np.ones((1, 4)), np.zeros((1, 1)), 0.5, np.zeros(1), np.zeros(1)
-    ), [None] * 4))  # fmt: skip
+    )
+    lines = list(_pole_lines(_dynamics(model)["poles"], 0.5))
     assert len(lines) == 3
     assert "above 1 Hz, half the sampling frequency" in lines[1]
     assert "0, 2 times" in lines[2]
@@ -294,3 +298,66 @@ def test_a_controller_and_a_certificate_of_a_run(tmp_path: Path) -> None:
     assert "tank2_level in 0 to 10 V" in shown.out
     wrong = command_line("certify", "--runs", tmp_path, "--y", "level=0..10")
     assert "--y is 'level=0..10', expected limits" in wrong.err
+
+
+def _run(points: Sequence[LinearPoint], integrating: tuple[int, ...] = ()) -> LinearRun:
+    """Run of one input and output whose records are an open loop of a lag."""
+    u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 60), 5)[:, None]
+    y = np.asarray(lfilter([0.0, 0.2], [1.0, -0.8], u, axis=0))
+    signals = (Signal("u", "V"),), (Signal("y", "m"),)
+    return LinearRun(
+        "r", "refit", *signals, tuple(points), (), (Trajectory(u, y, 1.0, "a"),), (), integrating,
+        np.zeros(1),
+    )  # fmt: skip
+
+
+def _lag(pole: float, gain: float) -> LinearModel:
+    one = np.ones((1, 1))
+    return LinearModel(pole * one, one, gain * (1 - pole) * one, 0 * one, 1.0, one[0], one[0])
+
+
+@pytest.mark.parametrize(
+    ("pole", "folds", "integrating", "kind", "reason"),
+    [
+        (0.9, (0.88, 0.91), (), "gain", ""),
+        (0.99, (0.97, 0.999), (), "slope", "includes 1: the plant may integrate"),
+        (0.99, (0.985, 0.992), (0,), "slope", "the plant integrates"),
+        (1.02, (1.01, 1.03), (), "gain", "the plant is unstable"),
+    ],
+)
+def test_no_static_gain_and_no_rest_beside_an_integrator_or_an_unstable_pole(
+    pole: float, folds: tuple[float, ...], integrating: tuple[int, ...], kind: str, reason: str
+) -> None:
+    at = OperatingPoint(np.zeros(1), np.ones(1), np.ones(1), 0.0)
+    point = LinearPoint("mean", at, True, _lag(pole, 2.0), tuple(_lag(p, 2.0) for p in folds))
+    run = _run([point], integrating)
+    assert reason in run.no_rest(point)
+    assert bool(run.no_rest(point)) == bool(reason)
+    found = run.gain(point, 0, 0)
+    assert found[0] == kind
+    if "unstable" in reason:
+        assert str(found[1]) == "none: the plant is unstable"
+    elif kind == "slope":
+        # K / tau of a slow lag.
+        assert found[1].value == pytest.approx(2.0 * (1 - pole), rel=1e-6)
+        assert found[1].unit == "m/V/s"
+    else:
+        assert found[1].interval is not None
+
+
+def test_a_mode_that_a_zero_cancels_has_next_to_no_part_of_the_response() -> None:
+    a, one = np.diag([0.9, 0.5]), np.ones((2, 1))
+    for part in (1e-5, 1.0):
+        c = np.array([[0.1, 0.5 * part]])
+        model = LinearModel(a, one, c, np.zeros((1, 1)), 1.0, one[:1, 0], one[:1, 0])
+        assert model.mode_shares() == pytest.approx([1.0, part], rel=1e-9)
+
+
+def test_only_the_slowest_pole_has_the_interval_that_includes_one() -> None:
+    model = LinearModel(
+        np.diag([0.99, 0.7]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), 1.0, np.zeros(1),
+        np.zeros(1),
+    )  # fmt: skip
+    first, second = _pole_lines(_dynamics(model)["poles"], 1.0, (0.6, 1.02))
+    assert first.endswith("no time constant: its interval includes 1")
+    assert second.endswith("time constant 2.804 s")

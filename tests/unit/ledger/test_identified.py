@@ -159,8 +159,21 @@ def test_values_without_standard_errors_are_printed_with_the_reason() -> None:
 
 
 def test_a_wide_interval_is_marked_and_the_bias_is_said_to_be_inside() -> None:
-    wide = fitted(low=0.12, high=2.0, misfit_error=0.01)
-    model = IdentifiedModel(2, (IdentifiedParameter(wide, (), None),), ((1.0,),), ())
+    wide = fitted(low=0.3, high=2.0, misfit_error=0.01)
+    model = IdentifiedModel(2, (IdentifiedParameter(wide, (), None),), ((1.0,),), (), fit=61.0)
     text = "\n".join(identified_lines(model))
     assert "interval wider than the value" in text
     assert "the bias that it may cause is smaller than the intervals" in text
+    assert "the model fits 61 %, below 80 %" in text
+
+
+def test_an_interval_of_orders_of_magnitude_and_one_at_a_bound_are_withheld() -> None:
+    for one, reason in (
+        (fitted(low=1.6e-25, high=6.9e23), "not identifiable from these records"),
+        (fitted(value=9.999, low=5.0, high=10.0, upper=10.0), "at the upper end of its range"),
+    ):
+        found = IdentifiedParameter(one, (), None)
+        assert found.interval is None
+        text = "\n".join(identified_lines(IdentifiedModel(2, (found,), ((1.0,),), ())))
+        assert reason in text
+        assert "95 % interval" not in text

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from asia.data import Array, Signal, Trajectory
+from asia.data.statistics import limit_shares
 from asia.problem.check import data_doubts, delay_lines
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
@@ -104,3 +106,24 @@ def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
     problem = of(tanks, u, np.roll(u, 3))
     assert any(line.startswith("feedback: not tested for input u") for line in delay_lines(problem))
     assert not any("follows earlier" in str(doubt) for doubt in data_doubts(problem))
+
+
+def test_a_limit_is_held_while_inputs_move_and_a_rest_or_a_frozen_sensor_is_none() -> None:
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.uniform(-1.0, 1.0, 200), 5)
+    y = np.zeros(SAMPLES)
+    for k in range(1, SAMPLES):
+        y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1]
+    y += 0.01 * rng.normal(size=SAMPLES)
+    top = float(np.quantile(y, 0.8))
+
+    def shares(u: Array, y: Array) -> tuple[float, float]:
+        return limit_shares((Trajectory(u[:, None], y[:, None], 1.0, "r"),))[0]
+
+    assert shares(u, np.minimum(y, top))[1] > 0.1
+    assert shares(u, y) == (0.0, 0.0)
+    frozen = y.copy()
+    frozen[300:500] = y.max() + 1.0
+    assert shares(u, frozen) == (0.0, 0.0)
+    steps = np.repeat([0.0, 1.0, 0.0, 1.0, 0.0], 200)
+    assert shares(steps, np.round(lfilter([0.0, 0.5], [1.0, -0.5], steps), 6)) == (0.0, 0.0)

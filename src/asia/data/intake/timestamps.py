@@ -611,7 +611,7 @@ def _described(chosen: _Fit, fits: Sequence[_Fit], column: _Column, stated: froz
         )
         if _YEARS[0] < first * unit.factor < _YEARS[1]:
             return f"{unit.name} since 1970"
-        return f"no unit: {unit.name}"
+        return f"no unit, {unit.name} assumed; --time-unit decides"
     example = next(filter(None, column.texts))
     ruled_out = [f.pattern.name for f in fits if not f.same(chosen)]
     more = f"; {ruled_out[0]} would break the steps" if ruled_out else ""

@@ -172,6 +172,8 @@ _BRIEF_HELP = {
 }
 """Options that `--help` of a command shows; `--help-all` shows the others too. Without an entry
 here `--help` shows all."""
+_PRINTING = (_run.run, extend.extend, view.view, demo.demo, doctor.doctor, _agent.try_)
+"""Commands that print their own progress, or wait for others."""
 for _app, _commands, _panel in (
     (app, MAIN_COMMANDS, None),
     (app, MORE_COMMANDS, "More commands"),
@@ -182,7 +184,8 @@ for _app, _commands, _panel in (
         if isinstance(_command, typer.Typer):
             _app.add_typer(_command, name=_name, rich_help_panel=_panel)
         else:
-            _shown = with_groups(_command, _BRIEF_HELP.get(_command))
+            _own = _app is not app or _command in _PRINTING
+            _shown = with_groups(_command, _BRIEF_HELP.get(_command), prints_progress=_own)
             _app.command(_name, rich_help_panel=_panel)(_shown)
 
 

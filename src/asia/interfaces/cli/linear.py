@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -13,26 +12,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from asia._progress import tracked
+from asia._statement import LEAST_FIT, fit_note, stated
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import RunOptions
+from asia.interfaces.cli.options import RunOptions, Time, TimeUnit
 from asia.interfaces.cli.output import plain
 
 # Greatest number of inputs for which process models are fitted to records.
 _MOST_INPUTS = 3
-# Fit in percent below which the process model of a step response is withheld.
-_LEAST_FIT = 80.0
 _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
 # Size of a discrete pole below which it holds past samples, within the error of a multiple
 # eigenvalue, and has no time constant.
 _NO_DYNAMICS = 1e-3
+# Share of the response from which a mode has a time constant.
+_LEAST_SHARE = 0.01
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from asia.analysis.process import ProcessFit
     from asia.data.frequency import FrequencyRecord
-    from asia.data.trajectory import Array, Signal, Trajectory
+    from asia.data.trajectory import Signal, Trajectory
     from asia.export.linear import LinearPoint, LinearRun
     from asia.ledger.evidence import DrawnCheck
     from asia.lowering.linear import LinearModel, ProcessModel
@@ -57,6 +58,8 @@ def linear(
     sampling_time: Annotated[
         float | None, typer.Option(help="Sampling time in s of a record without times.")
     ] = None,
+    time: Time = None,
+    time_unit: TimeUnit = None,
     at: Annotated[
         list[str] | None,
         typer.Option(
@@ -97,22 +100,27 @@ def linear(
     """Print order, poles, gains and delays of a model at operating points, and draw its Bode plot
     and step response; also smaller, in continuous time or as a transfer function. With a file of a
     frequency response, fit a linear model to it."""
+    if run is not None and Path(run).is_file():
+        if at or reduce or continuous_time or model or response:
+            raise UserError(
+                f"{run} is a file: the options of a run do not apply, only --out and --to-tf"
+            )
+        columns, times = (inputs or "", outputs or ""), (sampling_time, time, time_unit)
+        if any(columns) or any(times) or not _is_response(Path(run)):
+            _of_record(Path(run), columns, times, out, options)
+        else:
+            _of_file(Path(run), out, options, to_tf=to_tf)
+        return
+    if inputs or outputs or sampling_time or time or time_unit:
+        raise UserError(
+            "--inputs, --outputs, --sampling-time, --time and --time-unit are for a record: name "
+            "its file"
+        )
     from asia.data.intake.frequency import read_frequency_response
     from asia.export.linear import linearize
     from asia.report.page.sections.evidence import LINEAR_FILE
     from asia.report.pictures.analysis import draw_linear
 
-    if run is not None and Path(run).is_file():
-        if at or reduce or to_tf or continuous_time or model or response:
-            raise UserError(f"{run} is a file: the options of a run do not apply, only --out")
-        columns = inputs or "", outputs or ""
-        if any(columns) or sampling_time or not _is_response(Path(run)):
-            _of_record(Path(run), columns, sampling_time, out, options)
-        else:
-            _of_file(Path(run), out, options)
-        return
-    if inputs or outputs or sampling_time:
-        raise UserError("--inputs, --outputs and --sampling-time are for a record: name its file")
     directory = options.directory(run)
     given = [read_frequency_response(path) for path in response or ()]
     found = linearize(directory, at or (), model, isolation=options.level)
@@ -121,13 +129,14 @@ def linear(
     facts: dict[str, Any] = {
         "run": found.name,
         "model": found.use,
-        "notes": list(found.notes),
+        "notes": [*found.notes, *filter(None, [fit_note(found.fit)])],
         "points": [
             _facts(found, one, reduce, to_tf=to_tf, rate=continuous_time) for one in found.points
         ],
         "process_models_of_records": [None if one is None else asdict(one) for one in fitted],
     }
-    lines = [f"run {found.name}, model {found.use}", *(f"note      {n}" for n in found.notes)]
+    notes = [*found.notes, *filter(None, [fit_note(found.fit)])]
+    lines = [f"run {found.name}, model {found.use}", *(f"note      {n}" for n in notes)]
     for point, values, measured in zip(found.points, facts["points"], compared, strict=True):
         values["responses"] = [one.facts for one in measured]
         lines += [*_lines(found, point, values), *(line for one in measured for line in one.lines)]
@@ -146,14 +155,15 @@ def _write(
     options: RunOptions,
 ) -> None:
     """Write linear.json and the pictures, and print the lines of `text`."""
-    from asia.report.files import save
-    from asia.report.page.sections.evidence import LINEAR_FILE
-
     folder.mkdir(parents=True, exist_ok=True)
     text = jsonlib.dumps(plain(facts), allow_nan=False)
-    (folder / LINEAR_FILE.name).write_text(text + "\n", "utf-8")
+    (folder / "linear.json").write_text(text + "\n", "utf-8")
     failed: list[str] = []
-    files = [*save(pictures, folder, failed), folder / LINEAR_FILE.name]
+    files = [folder / "linear.json"]
+    if pictures:
+        from asia.report.files import save
+
+        files[:0] = save(pictures, folder, failed)
     if options.json:
         say(text)
     options.print((*facts["text"], *(f"note      {one}" for one in failed)), files)
@@ -226,15 +236,24 @@ def _is_response(path: Path) -> bool:
 
 
 def _of_record(
-    path: Path, columns: tuple[str, str], sampling_time: float | None, out: Path | None,
+    path: Path,
+    columns: tuple[str, str],
+    times: tuple[float | None, str | None, str | None],
+    out: Path | None,
     options: RunOptions,
-) -> None:  # fmt: skip
-    """Fit process models to a record."""
+) -> None:
+    """Fit process models to a record.
+
+    Args:
+        times: sampling time in s, column of the time stamps, and their unit
+    """
+    from asia.data.bad_samples import find_bad_samples
     from asia.data.intake.conversion import split_names, survey, take_in
     from asia.data.intake.sheet import Wanted
     from asia.data.trajectory import Signal
 
-    known = survey(path, Wanted((), ()))
+    sampling_time, time, unit = times
+    known = survey(path, Wanted((), (), time, unit))
     inputs, outputs = (split_names(text, known.names) for text in columns)
     outputs = outputs or [name for name in known.outputs if name not in inputs]
     inputs = inputs or [name for name in known.inputs if name not in outputs]
@@ -242,19 +261,22 @@ def _of_record(
         raise UserError(f"{path}: name the columns by --inputs and --outputs")
     if len(inputs) > _MOST_INPUTS:
         raise UserError(f"{path}: {len(inputs)} inputs, expected at most {_MOST_INPUTS}")
-    found = take_in([path], Wanted(tuple(inputs), tuple(outputs)), "train", sampling_time, 20)
+    wanted = Wanted(tuple(inputs), tuple(outputs), time, unit)
+    found = take_in([path], wanted, "train", sampling_time, 20)
     signals = [
         tuple(Signal(name, found.units.get(name, "")) for name in side)
         for side in (found.inputs, found.outputs)
     ]
-    say(f"fitting   {_counted(len(outputs), 'output')}, a few seconds each", file=sys.stderr)
+    bad = find_bad_samples(found.records, found.inputs, found.outputs)
     fitted = _fitted(found.records, *signals)
     step = found.records[0].sampling_time
     rows = sum(map(len, found.records))
     lines = [
         f"record {path.name}: {_counted(rows, 'sample')} of {step:g} s, inputs "
         f"{', '.join(found.inputs)}, outputs {', '.join(found.outputs)}",
-        *(f"note      {note}" for note in found.notes), *_fitted_lines(fitted, *signals),
+        *(f"read      {one}" for one in found.readings),
+        *(f"note      {note}" for note in found.notes),
+        *(f"doubt     {one}" for one in bad), *_fitted_lines(fitted, *signals),
     ]  # fmt: skip
     facts: dict[str, Any] = {
         "file": str(path), "sampling_time": step, "inputs": found.inputs, "outputs": found.outputs,
@@ -264,7 +286,7 @@ def _of_record(
     _write(facts, [], out or Path("linear"), options)
 
 
-def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
+def _of_file(path: Path, out: Path | None, options: RunOptions, *, to_tf: bool) -> None:
     """Fit a linear model to a measured frequency response."""
     from asia.data.intake.frequency import read_frequency_response
     from asia.models.frequency_response import fit_frequency_response
@@ -276,21 +298,29 @@ def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
     known = record.variance is not None
     frequency, (ny, nu) = record.frequency, model.d.shape
     kind = f"sampling time {step:g} s" if step else "continuous time"
+    folds = [fold for fold, _ in found.folds]
+    low, high = float(frequency.min()), float(frequency.max())
+    outside = f"measured from {low:.4g} to {high:.4g} Hz alone"
+    dynamics = _dynamics(model, folds, outside if low > 0.0 else "")
+    for one in dynamics["poles"]:
+        if not low <= one["frequency_hz"] <= high and not one["withheld"]:
+            one["time_s"], one["withheld"] = None, outside
     lines = [
         f"frequency response {record.name}: {_counted(len(frequency), 'frequency')} from "
-        f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz, {_counted(ny, 'output')}, "
-        f"{_counted(nu, 'input')}",
+        f"{low:.4g} to {high:.4g} Hz, {_counted(ny, 'output')}, {_counted(nu, 'input')}",
         f"order     {model.order}, {kind}",
         f"delay     {found.delay:.4g} s ({found.delay_band[0]:.4g} to {found.delay_band[1]:.4g} s)",
-        *_pole_lines(model, [None] * len(model.modes())),
+        *_pole_lines(dynamics["poles"], step),
     ]
     for i, one in enumerate(record.outputs):
         for j, into in enumerate(record.inputs):
-            gains = [fold.gain[i, j] for fold, _ in found.folds] + [model.gain[i, j]]
-            lines.append(
-                f"gain      {one.name} by {into.name}: {model.gain[i, j]:.5g} (fold models "
-                f"{min(gains):.4g} to {max(gains):.4g})"
-            )
+            gains = [fold.gain[i, j] for fold in folds] + [model.gain[i, j]]
+            reason = "" if low == 0.0 else f"no static gain, as it is {outside}"
+            gain = stated(float(model.gain[i, j]), (min(gains), max(gains)), reason=reason)
+            lines.append(f"gain      {one.name} by {into.name}: {gain}")
+    if to_tf:
+        names = [[one.name for one in side] for side in (record.outputs, record.inputs)]
+        lines += _transfer_lines(model, names[0], names[1], "z" if step else "s")
     if known:
         lines.append(
             f"fit       the residual is {found.error:.3g} times its standard deviation, "
@@ -307,7 +337,7 @@ def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
         "file": str(path), "order": model.order, "sampling_time": step, "delay": found.delay,
         "delay_band": found.delay_band, "A": model.a, "B": model.b, "C": model.c,
         "D": model.d, "error": found.error, "held_out_error": found.held_out,
-        "orders": found.tried, "text": lines, **_dynamics(model),
+        "orders": found.tried, "text": lines, **dynamics,
     }  # fmt: skip
     deviation = None if record.variance is None else np.sqrt(record.variance)
     curves = [(found.model, found.delay), *found.folds]
@@ -362,27 +392,26 @@ def _facts(
     from asia.lowering.linear import settling_samples as settling
 
     model, folds = point.model, point.folds
+    reason, unstable = run.no_rest(point), run.is_unstable(point)
+    gains = [
+        [run.gain(point, i, j) for j in range(len(run.inputs))] for i in range(len(run.outputs))
+    ]
     found: dict[str, Any] = {
-        "at": point.name, "u": model.u0, "y": model.y0,
-        "at_rest": point.rests and not run.integrating,
+        "at": point.name, "u": model.u0, "y": None if reason else model.y0,
+        "at_rest": point.rests and not reason, "no_rest": reason or None,
         "order": model.order, "sampling_time": model.sampling_time,
         "A": model.a, "B": model.b, "C": model.c, "D": model.d,
-        **_dynamics(model), "delay_samples": _delays(run, model),
-        "gain_band": point.gain_band, "mode_bands": point.mode_bands,
-        "fold_gains": [one.gain for one in folds],
+        **_dynamics(model, point.folds, reason), "delay_samples": _delays(run, model),
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
+        "gains": [[{"kind": kind, **asdict(one)} for kind, one in row] for row in gains],
+        "gain": [[one.value if kind == "gain" else None for kind, one in row] for row in gains],
+        "slope_gain": [
+            [one.value for _, one in row] if row[0][0] == "slope" else None for row in gains
+        ],
+        "gain_band": None if reason else point.gain_band,
+        "fold_gains": [] if reason else [one.gain for one in folds],
+        "no_gain": reason if unstable else None,
     }  # fmt: skip
-    slopes: list[Any] = [
-        model.slope_gain[i] if i in run.integrating else None for i in range(len(run.outputs))
-    ]
-    unstable = model.is_unstable and not run.integrating
-    found["slope_gain"], found["no_gain"] = slopes, "the model is unstable" if unstable else None
-    found["gain"] = [
-        [None if unstable or slopes[i] is not None else value for value in row]
-        for i, row in enumerate(model.gain.tolist())
-    ]
-    if unstable or run.integrating:
-        found["gain_band"], found["fold_gains"] = None, []
     if reduce is not None:
         if reduce != "auto" and not reduce.isdigit():
             raise UserError(f"--reduce is '{reduce}', expected auto or a number of states")
@@ -394,27 +423,27 @@ def _facts(
         found["reduced"] = {
             "order": small.model.order, "bound": small.bound,
             "relative_bound": small.bound / size if np.isfinite(size) and size > 0 else None,
-            **_dynamics(small.model),
+            **_dynamics(small.model, (), reason),
             "singular_values": small.singular_values,
             "difference_on_record": float(np.sqrt((((full - less) / spread) ** 2).mean())),
             "A": small.model.a, "B": small.model.b, "C": small.model.c, "D": small.model.d,
         }  # fmt: skip
     if to_tf:
-        numerators, denominator = model.numerator()
         samples = settling(model)
         steps, t = model.step_response(samples), model.sampling_time * np.arange(samples)
-        steady = not unstable
-        found["denominator"], found["numerators"] = denominator, numerators
+        found["numerators"], found["denominator"] = model.numerator()
         found["process_models"] = [
-            [_process(t, steps[:, i, j], process_model, integrator=i in run.integrating)
-             if steady else None for j in range(len(run.inputs))]
-            for i in range(len(run.outputs))
+            [None if unstable or one.value is None else
+             _process(t, steps[:, i, j], process_model, integrator=kind == "slope")
+             for j, (kind, one) in enumerate(row)] for i, row in enumerate(gains)
         ]  # fmt: skip
     if rate:
         try:
             same, dead = continuous(model)
-            found["continuous"] = {"A": same.a, "B": same.b, "C": same.c, "D": same.d,
-                                   **_dynamics(same), "dead_time_samples": dead}  # fmt: skip
+            found["continuous"] = {
+                "A": same.a, "B": same.b, "C": same.c, "D": same.d,
+                **_dynamics(same, (), reason), "dead_time_samples": dead,
+            }  # fmt: skip
         except UserError as error:
             found["continuous"] = {"none": str(error)}
     return found
@@ -434,14 +463,34 @@ def _delays(run: LinearRun, model: LinearModel) -> list[list[int]]:
     ]
 
 
-def _dynamics(model: LinearModel) -> dict[str, Any]:
-    """Poles, zeros and static gain."""
+def _dynamics(
+    model: LinearModel, folds: Sequence[LinearModel] = (), no_rest: str = ""
+) -> dict[str, Any]:
+    """Poles, zeros and static gain: what the records carry of each."""
+    from asia.export.linear import mode_bands
+
+    poles: list[dict[str, Any]] = []
+    shares = model.mode_shares()
+    for (p, f, z, t), band, share in zip(
+        model.modes(), mode_bands(model, folds), shares, strict=True
+    ):
+        ends = None if band is None else (float(band[0][0]), float(band[1][0]))
+        rate = stated(f, ends, "Hz", positive=True, reason=_hidden(share))
+        poles.append({
+            "real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z,
+            "time_s": None if rate.value is None else t, "frequency_band": rate.interval,
+            "damping_band": None if band is None else [float(band[0][1]), float(band[1][1])],
+            "withheld": rate.reason or None, "share": share,
+        })  # fmt: skip
     return {
-        "poles": [{"real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z, "time_s": t}
-                  for p, f, z, t in model.modes()],
-        "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
-        "gain": model.gain,
+        "poles": poles, "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
+        "gain": None if no_rest else model.gain,
     }  # fmt: skip
+
+
+def _hidden(share: float) -> str:
+    """Reason that a mode has no time constant; "" where it has."""
+    return "" if share >= _LEAST_SHARE else f"{share:.1%} of the response, a zero nearly cancels it"
 
 
 def _fitted(
@@ -451,7 +500,7 @@ def _fitted(
     from asia.analysis.process import fit_process
 
     found: list[ProcessFit | None] = []
-    for i in range(len(outputs)):
+    for i in tracked(range(len(outputs)), "output"):
         try:
             found.append(fit_process(records, i) if len(inputs) <= _MOST_INPUTS else None)
         except (UserError, ValueError):
@@ -470,18 +519,16 @@ def _fitted_lines(
         if one is None:
             yield f"process   {out.name}: none (no change, or more than {_MOST_INPUTS} inputs)"
             continue
-        for into, model, values, reason in zip(
-            inputs, one.models, one.parameters, one.withheld, strict=True
+        for j, (into, model, values, reason) in enumerate(
+            zip(inputs, one.models, one.parameters, one.withheld, strict=True)
         ):
             if model is None:
                 yield f"process   {out.name} by {into.name}: none, as {reason}"
                 continue
             yield f"process   {out.name} by {into.name}: {model}, fit {model.fit:.1f} %"
-            rate = "/s" if model.integrator else ""
-            gain = f"{out.unit or '1'}/{into.unit or '1'}{rate}"
-            for p in values:
-                unit = gain if p.name == "gain" else p.unit
-                yield f"            {p.name} {p.value:.4g} {unit} ({p.low:.4g} to {p.high:.4g})"
+            gain = f"{out.unit or '1'}/{into.unit or '1'}{'/s' if model.integrator else ''}"
+            for k, p in enumerate(values):
+                yield f"            {p.name} {one.statement(j, k, gain)}"
 
 
 def _process(t: Any, y: Any, fit: Callable[..., ProcessModel], *, integrator: bool) -> Any:
@@ -489,51 +536,51 @@ def _process(t: Any, y: Any, fit: Callable[..., ProcessModel], *, integrator: bo
         one = fit(t, y, integrator=integrator)
     except UserError:
         return None
-    return {**asdict(one), "text": str(one)} if one.fit >= _LEAST_FIT else None
+    return {**asdict(one), "text": str(one)} if one.fit >= LEAST_FIT else None
 
 
 def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterator[str]:
     """Yield what is printed of a point."""
+    from asia.lowering.linear import continuous
+
     model, step = point.model, point.model.sampling_time
 
     def values(signals: Sequence[Signal], numbers: Any) -> str:
         pairs = zip(signals, numbers, strict=True)
         return ", ".join(f"{s.name} {v:.5g} {s.unit}".rstrip() for s, v in pairs)
 
-    rest = "" if facts["at_rest"] else " (not at rest)"
+    names = [[one.name for one in side] for side in (run.inputs, run.outputs)]
+    at = f"at {point.name}: {values(run.inputs, model.u0)}"
     yield ""
-    yield f"at {point.name}: {values(run.inputs, model.u0)}; {values(run.outputs, model.y0)}{rest}"
+    if facts["no_rest"]:
+        yield f"{at}; no resting point: {facts['no_rest']}"
+    else:
+        rest = "" if facts["at_rest"] else " (not at rest)"
+        yield f"{at}; {values(run.outputs, model.y0)}{rest}"
     yield f"order     {model.order}, sampling time {step:g} s"
-    yield from _pole_lines(model, point.mode_bands)
+    yield from _pole_lines(facts["poles"], step, point.slowest_band)
     shown = [f"{z.real:.5g}" + (f"{z.imag:+.5g}i" if abs(z.imag) > 1e-12 else "")
              for z in model.zeros]  # fmt: skip
     if shown:
         yield f"zeros     {', '.join(shown)}"
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
-            unit = _gain_unit(out, into)
             dead = int(facts["delay_samples"][i][j])
             late = (
                 "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"
             )
-            value, ends, kind = facts["gain"][i][j], point.gain_band, "gain      "
-            if facts["slope_gain"][i] is not None:
-                value, ends, kind = facts["slope_gain"][i][j], point.slope_gain_band, "slope     "
-                unit = f" {out.unit or '1'}/{into.unit or '1'}/s"
-            text = f"none, as {facts['no_gain']}"
-            if value is not None:
-                band = "" if ends is None else f" ({ends[0][i, j]:.4g} to {ends[1][i, j]:.4g})"
-                text = f"{value:.5g}{unit}{band}"
-            yield f"{kind}{out.name} by {into.name}: {text}, {late}"
+            kind, gain = run.gain(point, i, j)
+            yield f"{kind:<10}{out.name} by {into.name}: {gain}, {late}"
             if "process_models" in facts and facts["process_models"][i][j]:
                 one = facts["process_models"][i][j]
                 yield f"process   {out.name} by {into.name}: {one['text']}, fit {one['fit']:.1f} %"
     if "denominator" in facts:
-        for i, out in enumerate(run.outputs):
-            for j, into in enumerate(run.inputs):
-                above, below = facts["numerators"][i][j], facts["denominator"]
-                ratio = f"{_polynomial(above)} / {_polynomial(below)}"
-                yield f"H(z)      {out.name} by {into.name}: {ratio}"
+        yield from _transfer_lines(model, names[1], names[0], "z")
+        try:
+            same, dead = continuous(model)
+            yield from _transfer_lines(same, names[1], names[0], "s", dead * step)
+        except UserError as error:
+            yield f"H(s)      none: {error}"
     if "reduced" in facts:
         one = facts["reduced"]
         alone = len(run.inputs) == len(run.outputs) == 1
@@ -560,9 +607,11 @@ def _model_lines(
     run: LinearRun, model: LinearModel, facts: dict[str, Any], step: float
 ) -> Iterator[str]:
     """Yield poles and gains of a model that was made from another, indented."""
+    yield from (f"  {line}" for line in _pole_lines(facts["poles"], step))
+    if facts["gain"] is None:
+        return
     matrices = {name.lower(): facts[name] for name in "ABCD"}
     made = replace(model, **matrices, sampling_time=step)
-    yield from (f"  {line}" for line in _pole_lines(made, [None] * len(made.modes())))
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
             gain = f"{made.gain[i, j]:.5g}{_gain_unit(out, into)}"
@@ -573,35 +622,50 @@ def _gain_unit(out: Signal, into: Signal) -> str:
     return f" {out.unit or '1'}/{into.unit or '1'}" if out.unit or into.unit else ""
 
 
-def _pole_lines(model: LinearModel, bands: Sequence[tuple[Array, Array] | None]) -> Iterator[str]:
-    """Yield a line for each mode, with the bands of frequency and damping where they are known."""
-    edge = 1.0 if model.sampling_time else 0.0
-    nyquist = 0.5 / model.sampling_time if model.sampling_time else np.inf
-    memory = int((np.abs(model.poles) < _NO_DYNAMICS).sum()) if model.sampling_time else 0
-    for (pole, frequency, damping, time), mode in zip(model.modes(), bands, strict=True):
-        if memory and abs(pole) < _NO_DYNAMICS:
+def _pole_lines(
+    poles: Sequence[dict[str, Any]], step: float, slowest: tuple[float, float] | None = None
+) -> Iterator[str]:
+    """Yield a line for each mode, with the bands of frequency and damping where they are known.
+
+    Args:
+        poles: as `_dynamics` gives them
+        step: sampling time in s; 0 for continuous time
+        slowest: band of the largest real pole
+    """
+    edge, nyquist = (1.0, 0.5 / step) if step else (0.0, np.inf)
+    memory, largest = 0, max((one["real"] for one in poles if one["imag"] <= 1e-12), default=edge)
+    for one in poles:
+        pole = complex(one["real"], one["imag"])
+        if step and abs(pole) < _NO_DYNAMICS:
+            memory += 1 + (pole.imag > 1e-12)
             continue
         text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
-        if np.isnan(frequency):
-            yield f"pole      {text:<24} no continuous counterpart"
-        elif abs(pole - edge) < 1e-6:
-            yield f"pole      {text:<24} integrator"
+        text = f"pole      {text:<24}"
+        if np.isnan(one["frequency_hz"]):
+            yield f"{text} no continuous counterpart"
+            continue
+        if abs(pole - edge) < 1e-6:
+            yield f"{text} integrator"
+            continue
+        near = slowest is not None and slowest[1] >= 1.0 and pole.real >= largest
+        if abs(pole) > 1.0 if edge else pole.real > 0.0:
+            kind = "unstable"
+        elif near and pole.imag <= 1e-12:
+            kind = "no time constant: its interval includes 1"
+        elif one["withheld"]:
+            yield f"{text} no time constant: {one['withheld']}"
+            continue
         else:
-            kind = (
-                "unstable"
-                if (abs(pole) > 1.0 if edge else pole.real > 0.0)
-                else f"time constant {time:.4g} s"
-            )
-            sure = ["", ""]
-            if mode is not None:
-                sure = [f" ({low:.4g} to {high:.4g})" for low, high in zip(*mode, strict=True)]
-            rate = f"{frequency:.4g} Hz{sure[0]}"
-            if frequency > nyquist:
-                rate = f"above {nyquist:.4g} Hz, half the sampling frequency"
-            yield (
-                f"pole      {text:<24} {rate}, damping {damping:.3g}"
-                f"{sure[1] if pole.imag > 1e-12 else ''}, {kind}"
-            )
+            kind = f"time constant {one['time_s']:.4g} s"
+        sure = ["", ""]
+        for k, band in enumerate((one["frequency_band"], one["damping_band"])):
+            if band is not None:
+                sure[k] = f" ({band[0]:.4g} to {band[1]:.4g})"
+        rate = f"{one['frequency_hz']:.4g} Hz{sure[0]}"
+        if one["frequency_hz"] > nyquist:
+            rate = f"above {nyquist:.4g} Hz, half the sampling frequency"
+        damping = f"{one['damping']:.3g}{sure[1] if pole.imag > 1e-12 else ''}"
+        yield f"{text} {rate}, damping {damping}, {kind}"
     if memory:
         text = "0" if memory == 1 else f"0, {memory} times"
         yield f"pole      {text:<24} memory of {_counted(memory, 'sample')}, such as a dead time"
@@ -612,13 +676,29 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun if count == 1 else plural}"
 
 
-def _polynomial(coefficients: Any) -> str:
-    """Polynomial in z, such as (0.5 z + 1)."""
+def _transfer_lines(
+    model: LinearModel,
+    outputs: Sequence[str],
+    inputs: Sequence[str],
+    variable: str,
+    delay: float = 0.0,
+) -> Iterator[str]:
+    """Yield transfer functions from all inputs to all outputs, after a delay in s."""
+    numerators, below = model.numerator()
+    dead = f" exp(-{delay:.4g} s)" if delay else ""
+    for i, out in enumerate(outputs):
+        for j, into in enumerate(inputs):
+            ratio = f"{_polynomial(numerators[i][j], variable)} / {_polynomial(below, variable)}"
+            yield f"H({variable})      {out} by {into}: {ratio}{dead}"
+
+
+def _polynomial(coefficients: Any, variable: str) -> str:
+    """Polynomial in a variable, such as (0.5 z + 1)."""
     most = len(coefficients) - 1
     size = max(float(np.abs(coefficients).max()), 1e-300)
     terms = [
         ("" if value == 1.0 and most > k else f"{value:.5g} ").strip()
-        + ("" if most == k else " z" if most - k == 1 else f" z^{most - k}")
+        + ("" if most == k else f" {variable}" + (f"^{most - k}" if most - k > 1 else ""))
         for k, value in enumerate(coefficients)
         if abs(value) > 1e-12 * size
     ]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin,
 import typer
 from typer.models import OptionInfo
 
+from asia._progress import reported
 from asia._text import say
 from asia.errors import UserError
 from asia.ledger.folder import linked_workspace, workspace_around
@@ -304,13 +305,17 @@ class EngineOptions:
 
 
 def with_groups(
-    command: Callable[..., None], brief_help: Collection[str] | None = None
+    command: Callable[..., None],
+    brief_help: Collection[str] | None = None,
+    *,
+    prints_progress: bool = False,
 ) -> Callable[..., None]:
     """Return the command for typer. Each parameter annotated with a dataclass is replaced by the
     fields of that dataclass, which keep their annotations and defaults. The option `--help-all`
     shows the options that `--help` hides.
 
-    brief_help: parameters that `--help` shows; None: all that are not declared hidden."""
+    brief_help: parameters that `--help` shows; None: all that are not declared hidden.
+    prints_progress: whether the command does so by itself."""
     hints = get_type_hints(command, include_extras=True)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
 
@@ -319,7 +324,11 @@ def with_groups(
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         given.pop("help_all")
-        command(**given)
+        if prints_progress:
+            command(**given)
+            return
+        with reported(command.__name__.strip("_"), lambda line: say(line, file=sys.stderr)):
+            command(**given)
 
     # Name, annotation and default of each option.
     shown: list[tuple[str, Any, Any]] = []

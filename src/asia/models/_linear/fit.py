@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asia._progress import tracked
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Trajectory
 from asia.models import uncertainty
@@ -331,7 +332,7 @@ def unseen_errors(
         shown = [past_windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
         splits.append((kept, left, BlockedRidge(np.concatenate(shown))))
     errors: list[float] = []
-    for order in orders:
+    for order in tracked(orders, "order"):
         logs: list[float] = []
         for kept, left, regression in splits:
             candidate = fit(kept, order, refinement)

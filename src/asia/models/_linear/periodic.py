@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from asia.candidate import Context
 from asia.data.frequency import common_period
+from asia.data.process import ROUNDING
 from asia.data.trajectory import Array
 from asia.models._config import Progress
 from asia.models._least_squares import (
@@ -366,7 +367,7 @@ def _chosen_order(lines: ExcitedLines, max_order: int, tolerance: float) -> int 
     errors = {order: error(left, system) for order, system in found.items()}
     if not errors:
         return None
-    limit = min(errors.values()) * (1.0 + tolerance) ** 2
+    limit = max(min(errors.values()), ROUNDING) * (1.0 + tolerance) ** 2
     return next(order for order, value in errors.items() if value <= limit)
 
 

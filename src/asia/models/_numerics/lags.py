@@ -72,7 +72,8 @@ def regressors(
     rows, lagged = np.arange(start, len(record)), np.arange(1, lags.outputs + 1)
     known = record.counts[rows] > 0
     if not (known.all() or record.filled):
-        whole = known & (record.counts[rows[:, None] - lagged] > 0).all(axis=(1, 2))[:, None]
+        seen = (record.counts[rows[:, None] - lagged] > 0).reshape(len(rows), -1)
+        whole = known & seen.all(axis=1)[:, None]
         known = np.where(whole.sum(axis=0) > _ENOUGH * len(rows), whole, known)
     counted = known.any(axis=1)
     rows, known = rows[counted], known[counted]

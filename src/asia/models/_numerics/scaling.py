@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.data.process import is_constant
 from asia.data.trajectory import Array, Trajectory
 
 
@@ -40,7 +41,5 @@ class Scaling:
 
 
 def _spread(values: Array) -> Array:
-    std = values.std(axis=0)
     # A constant channel has rounding noise for a standard deviation; dividing by it would amplify.
-    constant = std <= 1e-12 * np.maximum(1.0, np.abs(values.mean(axis=0)))
-    return np.where(constant, 1.0, std)
+    return np.where([is_constant(v) for v in values.T], 1.0, values.std(axis=0))

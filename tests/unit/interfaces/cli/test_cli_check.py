@@ -17,11 +17,12 @@ def test_picture_that_cannot_be_written_is_a_note(
     assert done.code == 0
     assert "problem toy" in done.out
     assert "picture" not in done.out
-    assert done.err.startswith("note: could not draw into runs: ")
-    assert done.err.endswith("; give --runs DIR or set ASIA_RUNS\n")
+    assert "note: could not draw into runs: " in done.err
+    assert "; give --runs DIR or set ASIA_RUNS\n" in done.err
     monkeypatch.setenv("ASIA_RUNS", str(tmp_path / "elsewhere"))
     done = asia("check", "toy")
-    assert done.err == ""
+    # Lines of progress come on a slow machine alone.
+    assert all(line.startswith("check: ") for line in done.err.splitlines())
     assert f"picture  {tmp_path / 'elsewhere'}" in done.out
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from asia.data.trajectory import Array
-from asia.judge.scoring.bands import Region
+from asia.judge.scoring.bands import Region, independent_errors
 from asia.judge.scoring.checks.check import ALARM_RATE, Cause, Check, CheckCurve, Verdict
 from asia.judge.scoring.checks.validation_data import (
     SimulatedBlocks,
@@ -77,10 +77,14 @@ _MEMORIES = (4.0, 16.0)
 def check_overfit(
     train: Sequence[float],
     held_out: Sequence[float],
-    simulations: SimulatedBlocks | None = None,
+    simulations: SimulatedBlocks,
     apart: Sequence[str] = (),
+    parameters: int | None = None,
 ) -> Check:
     """Compare the error on held-out records with that on training records.
+
+    The ratio of their squares is judged by an F distribution, with as many degrees of freedom as
+    there are independent errors.
 
     Args:
         train, held_out: normalised error of each fold's model on its training records, and on
@@ -88,42 +92,77 @@ def check_overfit(
         simulations: simulations of the held-out records
         apart: names of the parameters that differ between the fold models by more than noise
             explains
+        parameters: count of the numbers in the model; None where it is not known
     """
+    from scipy.special import fdtrc
+
     a, b = np.array(train), np.array(held_out)
     ratio = float(b.mean() / max(float(a.mean()), 1e-300))
     least = float(np.min(b / np.maximum(a, 1e-300)))
     folds = np.arange(1, len(a) + 1, dtype=np.float64)
     curves = (CheckCurve("training", folds, a), CheckCurve("held out", folds, b))
-    words = f"the error is {ratio:.2f} times the training error ({b.mean():.3g} and {a.mean():.3g})"
+    count = _independent(simulations)
+    words = (
+        f"on held-out samples the error is {ratio:.2f} times the training error ({b.mean():.3g} "
+        f"and {a.mean():.3g}; {count:.0f} independent errors)"
+    )
     axes = ("fold", "normalised error [-]")
-    if ratio < _DOUBT or least < _EVERY:
-        return Check("held-out error", Verdict.PASS, f"on held-out samples {words}",
-                     curves=curves, axes=axes)  # fmt: skip
+    trained = max(count * (len(a) - 1.0) / len(a), 1.0)
+    by_chance = float(fdtrc(count, trained, ratio**2)) > ALARM_RATE
+    if ratio < _DOUBT or least < _EVERY or by_chance:
+        words += ", which is chance" if by_chance and ratio >= _DOUBT else ""
+        return Check("held-out error", Verdict.PASS, words, curves=curves, axes=axes)
     verdict = Verdict.FAIL if ratio >= _FAIL else Verdict.DOUBT
-    cause, why = _cause(simulations, apart)
-    return Check("held-out error", verdict, f"on held-out samples {words}: {why}", cause,
+    cause, why = _cause(simulations, apart, ratio, (count, trained), parameters)
+    return Check("held-out error", verdict, f"{words}: {why}", cause,
                  1.0 - 1.0 / ratio, curves, axes)  # fmt: skip
 
 
-def _cause(found: SimulatedBlocks | None, apart: Sequence[str]) -> tuple[Cause | None, str]:
+def _independent(found: SimulatedBlocks) -> float:
+    """Number of independent held-out errors, mean over the outputs."""
+    each = [independent_errors([found.residuals(k)]) for k in range(len(found.outputs))]
+    return max(sum(each) / len(each), 1.0)
+
+
+def _cause(
+    found: SimulatedBlocks,
+    apart: Sequence[str],
+    ratio: float,
+    counts: tuple[float, float],
+    parameters: int | None,
+) -> tuple[Cause | None, str]:
     """The cause of a larger held-out error, and the evidence for it."""
+    from scipy.special import fdtri
+
     if apart:
         verb = "differs" if len(apart) == 1 else "differ"
         return Cause.PARAMETERS, (
             f"{Cause.PARAMETERS}, or an effect is missing ({listed(apart)} {verb} between the "
             "folds by more than noise explains)"
         )
-    share = None if found is None else _corrected(found)
-    if share is None:
-        return Cause.OVERFIT, str(Cause.OVERFIT)
-    evidence = (
+    share = _corrected(found)
+    evidence = "" if share is None else (
         f"a different gain and slow dynamics for each part explain {percent(share)} of the residual"
-    )
-    if share >= _DRIFTS:
+    )  # fmt: skip
+    if share is not None and share >= _DRIFTS:
         return Cause.PARAMETERS, f"{Cause.PARAMETERS} ({evidence})"
-    if share <= _NOISE:
+    if parameters is None:
+        return None, f"its cause is not known ({evidence or 'the parts are too short'})"
+    # Least squares with p parameters for n errors: held-out over training errors is n / (n - p).
+    held, trained = counts
+    free = trained - parameters
+    most = np.inf
+    if free > 0:
+        most = trained / free * float(np.sqrt(fdtri(held, trained, 1.0 - ALARM_RATE)))
+    if ratio > most:
+        return None, (
+            f"the parts of the records differ; {parameters} fitted numbers explain a ratio of "
+            f"{most:.2f} at most" + (f" ({evidence})" if evidence else "")
+        )
+    if share is None or share <= _NOISE:
+        few = f"{parameters} fitted numbers for {trained:.0f} independent errors"
         return Cause.OVERFIT, (
-            f"{Cause.OVERFIT}, because it has too many parameters or too few samples ({evidence})"
+            f"{Cause.OVERFIT}, because it has too many parameters or too few samples ({few})"
         )
     return None, (
         f"the system drifts, or the model has too many parameters for its records ({evidence})"

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._statement import fit_note
 from asia.data.trajectory import Array
-from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
+from asia.judge.scoring.checks.check import ALARM_RATE, Cause, Check, CheckCurve, Verdict
 from asia.judge.scoring.checks.residual import groups
 from asia.judge.scoring.checks.validation_data import (
     LinearResponse,
@@ -19,57 +20,91 @@ from asia.judge.scoring.checks.validation_data import (
 # Check of the sign of the gain from each input.
 
 
-# An input's part of the output, over the output's deviation, below which its sign is not judged.
+# An input's part of the output, over the output's deviation, below which its sign cannot fail.
 _LEAST_PART = 0.15
-_AGAINST = -0.3
+# Parts of the records that are left out in turn.
+_PARTS = 10
 
 
 def check_gain(data: ValidationData) -> Check:
-    """The part of each output that the past of an input explains, in the data and in the
-    simulation: the two must not point in opposite directions."""
-    found = data.simulations
-    title, inputs = "direction of gain", len(found.inputs)
-    # Correlation of the two parts, input, output.
-    judged: list[tuple[float, str, str]] = []
+    """The sign of the gain from each input to each output, in the data and in the simulation, where
+    the data have an interval of it that excludes zero."""
+    found, title = data.simulations, "direction of gain"
+    agree, untested, opposite = list[str](), list[str](), list[str]()
+    pairs = len(found.inputs) * len(found.outputs)
     for output, label in enumerate(found.outputs):
         columns = groups(found, output)
         x = np.concatenate(columns.inputs)
-        x = x - x.mean(axis=0)
-        measured = np.concatenate([b.complete_y[columns.reach :, output] for b in found.blocks])
-        simulated = np.concatenate([b.y_hat[columns.reach :, output] for b in found.blocks])
-        fits = [_ridge(x, y - y.mean()) for y in (measured, simulated)]
-        for number, name in enumerate(found.inputs):
-            # The columns of one input: every `inputs`-th.
-            own = slice(number, None, inputs)
-            of_data, of_model = (x[:, own] @ fit[own] for fit in fits)
-            sizes = (part.std() / max(whole.std(), 1e-300)
-                     for part, whole in ((of_data, measured), (of_model, simulated)))  # fmt: skip
-            if min(sizes) >= _LEAST_PART:
-                agreement = float(np.mean(of_data * of_model) / (of_data.std() * of_model.std()))
-                judged.append((agreement, name, label))
-    if not judged:
-        sentence = "no single input affects an output enough to judge the direction of its gain"
-        return Check(title, Verdict.SHOWN, sentence)
-    agreement, name, output_name = min(judged, key=lambda d: d[0])
-    if agreement >= _AGAINST:
-        sentence = (
-            f"the gain of every input has the sign of the data (lowest correlation "
-            f"{agreement:.2f}, {name} to {output_name})"
+        measured, simulated = (
+            _gains(x, np.concatenate(y), len(found.inputs), pairs)
+            for y in (
+                [b.complete_y[columns.reach :, output] for b in found.blocks],
+                [b.y_hat[columns.reach :, output] for b in found.blocks],
+            )
         )
-        return Check(title, Verdict.PASS, sentence)
-    sentence = (
-        f"the gain from {name} to {output_name} has the opposite sign of the data "
-        f"(correlation {agreement:.2f}): {Cause.SIGN}"
-    )
-    return Check(title, Verdict.FAIL, sentence, Cause.SIGN, 2.0)
+        for number, name in enumerate(found.inputs):
+            own, of_model = measured[number], simulated[number]
+            words = f"{name} to {label} {own.low:.3g} to {own.high:.3g}"
+            signs = own.sign * of_model.sign
+            if own.sign * of_model.value > 0:
+                agree.append(words)
+            elif signs < 0 and min(own.part, of_model.part) >= _LEAST_PART:
+                opposite.append(f"{words}, in the model {of_model.value:.3g}")
+            else:
+                untested.append(words)
+    if opposite:
+        sentence = f"the gain has the opposite sign of the data ({opposite[0]}): {Cause.SIGN}"
+        return Check(title, Verdict.FAIL, sentence, Cause.SIGN, 2.0)
+    known = f"the gain has the sign of the data ({'; '.join(agree)})" if agree else ""
+    if not untested:
+        return Check(title, Verdict.PASS, known)
+    rest = f"not tested: the records do not determine the sign of the gain ({'; '.join(untested)})"
+    return Check(title, Verdict.SHOWN, "; ".join(filter(None, (rest, known))))
 
 
-def _ridge(x: Array, y: Array) -> Array:
-    size = x.std(axis=0)
+@dataclass(frozen=True)
+class _Gain:
+    """Gain of one input within the lags of the columns, with its interval."""
+
+    value: float
+    low: float
+    high: float
+    part: float
+    """Deviation of the input's part of the output over that of the output."""
+
+    @property
+    def sign(self) -> float:
+        """Sign of the gain; 0 where the interval contains zero."""
+        return float(np.sign(self.value)) if self.low * self.high > 0 else 0.0
+
+
+def _gains(x: Array, y: Array, inputs: int, pairs: int) -> list[_Gain]:
+    """Gains from each input, its columns every `inputs`-th, with intervals by the delete-a-group
+    jackknife over contiguous parts, so that dependent errors widen them."""
+    from scipy.special import stdtrit
+
+    mean, size = x.mean(axis=0), x.std(axis=0)
     size[size == 0.0] = 1.0
-    z = x / size
-    gram = z.T @ z
-    return np.linalg.solve(gram + 1e-4 * len(z) * np.eye(len(gram)), z.T @ y) / size
+    z, e = (x - mean) / size, y - y.mean()
+    parts = np.array_split(np.arange(len(z)), _PARTS)
+    grams, products = [z[p].T @ z[p] for p in parts], [z[p].T @ e[p] for p in parts]
+    ridge = 1e-4 * len(z) * np.eye(z.shape[1])
+    gram, product = sum(grams) + ridge, sum(products)
+    whole = np.linalg.solve(gram, product) / size
+    without = [
+        np.linalg.solve(gram - one, product - two) / size
+        for one, two in zip(grams, products, strict=True)
+    ]
+    factor = float(stdtrit(_PARTS - 1, 1.0 - ALARM_RATE / (2 * pairs)))
+    found: list[_Gain] = []
+    for number in range(inputs):
+        own = slice(number, None, inputs)
+        value = float(whole[own].sum())
+        apart = np.array([one[own].sum() for one in without]) - value
+        wide = factor * float(np.sqrt((_PARTS - 1) / _PARTS * (apart @ apart)))
+        part = float(((x[:, own] - mean[own]) @ whole[own]).std() / max(float(y.std()), 1e-300))
+        found.append(_Gain(value, value - wide, value + wide, part))
+    return found
 
 
 # The model as a linear one around operating points, from small steps of a simulator that may be
@@ -136,19 +171,26 @@ def check_responses(data: ValidationData) -> Check:
             curves.append(
                 CheckCurve(f"{one.input} to {output}, {one.point}", times, one.step[:, k])
             )
-        gains = [
-            f"{value:.3g} on {output}"
-            for value, output in zip(one.step[-1].tolist(), outputs, strict=True)
-        ]
-        what = "static gain" if one.settled else "step response, not settled,"
         pole = ""
         for slowest in poles(one.impulse)[:1].tolist():
             pole = f", slowest pole z = {slowest.real:.4g}"
             if abs(slowest.imag) >= 1e-9 * max(abs(slowest), 1e-300):
                 pole += f" ± {abs(slowest.imag):.4g}j"
+        if not one.settled:
+            words.append(
+                f"{one.input} at {one.point}: no static gain, the response does not settle{pole}"
+            )
+            continue
+        gains = [
+            f"{value:.3g} on {output}"
+            for value, output in zip(one.step[-1].tolist(), outputs, strict=True)
+        ]
         if len(outputs) > _MOST_GAINS:
             gains = [f"of {len(outputs)} outputs in the curves"]
-        words.append(f"{one.input} at {one.point}: {what} {listed(gains)}{pole}")
+        words.append(f"{one.input} at {one.point}: static gain {listed(gains)}{pole}")
+    deviation, blocks = data.simulations.deviation, data.simulations.blocks
+    errors = np.concatenate([b.residual for b in blocks]) / deviation
+    words += filter(None, [fit_note(100.0 * (1.0 - float(np.sqrt((errors**2).mean()))))])
     return Check(name, Verdict.SHOWN, "; ".join(words), curves=tuple(curves), axes=axes)
 
 

@@ -193,6 +193,22 @@ def test_a_smooth_function_of_the_rate_is_not_called_friction(random: np.random.
         assert flagged(tuple(motion)) == expected
 
 
+@pytest.mark.parametrize(
+    ("moves", "factor", "verdict"),
+    [(1.0, 1.0, Verdict.PASS), (1.0, -1.0, Verdict.FAIL), (0.0, 1.0, Verdict.SHOWN)],
+)
+def test_the_sign_of_a_gain_is_judged_where_the_records_have_it(
+    moves: float, factor: float, verdict: Verdict, random: np.random.Generator
+) -> None:
+    """With `moves` of 0 the output is noise beside the input."""
+    u = held_steps(random)
+    effect = signal.lfilter(B, A, u)
+    y = moves * effect + 0.1 * effect.std() * random.standard_normal(SAMPLES)
+    found = check_gain(without_responses(simulations(factor * effect, y, u)))
+    assert found.verdict is verdict
+    assert ("not tested" in found.sentence) is (verdict is Verdict.SHOWN)
+
+
 def test_a_long_run() -> None:
     t = np.arange(HORIZONS * 100.0)
     wave = np.sin(t)[:, None]
@@ -205,10 +221,34 @@ def test_a_long_run() -> None:
 
 
 def test_errors_that_grow_where_the_model_was_not_fitted() -> None:
-    assert check_overfit([0.1, 0.1], [0.12, 0.11]).verdict is Verdict.PASS
-    assert check_overfit([0.1, 0.1], [0.1, 0.5]).verdict is Verdict.PASS
-    assert check_overfit([0.1, 0.1], [0.2, 0.18]).verdict is Verdict.DOUBT
-    assert check_overfit([0.1, 0.1], [0.3, 0.4]).cause is Cause.OVERFIT
+    many, few = _white_errors(400), _white_errors(6)
+    assert check_overfit([0.1, 0.1], [0.12, 0.11], many).verdict is Verdict.PASS
+    assert check_overfit([0.1, 0.1], [0.1, 0.5], many).verdict is Verdict.PASS
+    assert check_overfit([0.1, 0.1], [0.2, 0.18], many).verdict is Verdict.DOUBT
+    assert check_overfit([0.1, 0.1], [0.3, 0.4], many).verdict is Verdict.FAIL
+    # The same ratio is chance where few errors are independent.
+    chance = check_overfit([0.1, 0.1], [0.2, 0.18], few)
+    assert chance.verdict is Verdict.PASS
+    assert "which is chance" in chance.sentence
+
+
+def test_a_model_of_few_parameters_does_not_fit_the_noise_of_many_samples() -> None:
+    ratio = [0.1, 0.1], [0.2, 0.2]
+    few = check_overfit(*ratio, _white_errors(5_000), parameters=12)
+    assert (few.verdict, few.cause) == (Verdict.DOUBT, None)
+    assert "12 fitted numbers explain a ratio of 1.0" in few.sentence
+    many = check_overfit(*ratio, _white_errors(5_000), parameters=3_000)
+    assert many.cause is Cause.OVERFIT
+    assert check_overfit(*ratio, _white_errors(5_000)).cause is None
+
+
+def _white_errors(samples: int) -> SimulatedBlocks:
+    """Two blocks whose errors are independent."""
+    rng = np.random.default_rng(0)
+    y_hat = np.sin(0.1 * np.arange(samples))[:, None]
+    noise = 0.1 * rng.standard_normal((2, samples, 1))
+    blocks = [SimulatedBlock(y_hat, y_hat + e, y_hat, 0, k * samples) for k, e in enumerate(noise)]
+    return SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0)
 
 
 def test_a_record_outside_the_region(random: np.random.Generator) -> None:
@@ -281,7 +321,7 @@ def test_a_larger_held_out_error_is_called_drift_where_the_parts_need_other_para
     assert found.cause is Cause.PARAMETERS
     assert "drift" in found.sentence
     assert check_overfit([0.1, 0.1], [0.11, 0.1], _gain_changes((1.0, 1.0))).cause is None
-    named = check_overfit([0.1, 0.1], [0.3, 0.3], apart=("R",))
+    named = check_overfit([0.1, 0.1], [0.3, 0.3], _white_errors(400), apart=("R",))
     assert named.cause is Cause.PARAMETERS
     assert "R differs between the folds by more than noise explains" in named.sentence
 
@@ -300,6 +340,7 @@ def test_a_larger_held_out_error_is_called_overfit_where_too_many_parameters_fit
         train.append(float(np.std(y[fit] - past[fit] @ gains)))
         held.append(float(np.std(y[judge] - past[judge] @ gains)))
         blocks.append(SimulatedBlock(u[judge], y[judge], past[judge] @ gains, 0, judge.start))
-    found = check_overfit(train, held, SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0))
+    blocks_of_both = SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0)
+    found = check_overfit(train, held, blocks_of_both, parameters=60)
     assert found.cause is Cause.OVERFIT
     assert "too many parameters or too few samples" in found.sentence
