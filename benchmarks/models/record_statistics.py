@@ -5,6 +5,7 @@ intervals of process-model parameters, and delays within one sample. Open-loop f
 of inputs: alarms of feedback and drift. Closed-loop files: feedback that is found.
 
     python benchmarks/models/record_statistics.py [--plants 200] [--files 500] [--loops 100]
+        [--seed 0]
 """
 
 from __future__ import annotations

@@ -536,7 +536,7 @@ def design(
     corners = corners[corners > 0]
     pace = float(np.exp(np.log(corners).mean())) if len(corners) else 1.0
     if wanted.settling_max is not None:
-        pace = max(4.0 / wanted.settling_max, 1e-12)
+        pace = 4.0 / wanted.settling_max
     unstable = np.roots(plant.den).real.max(initial=-1.0) > 0
     # All parameters are positive: a plant that falls with its input gets a negative controller. A
     # stable one may begin in the other direction.
@@ -584,7 +584,7 @@ def design(
         # Avoided where possible: a slow tail after a fast rise, and a loop much faster than asked,
         # which spends the input.
         slow = figures.tail / _TAIL - 1.0
-        fast = 0.0 if unstable else math.log(4.0 / _FASTER / max(figures.settling, 1e-9))
+        fast = 0.0 if unstable else math.log(4.0 / _FASTER / max(figures.settling, 1e-300))
         return min(max(0.1 * slow, 0.1 * fast, 0.0), _PREFERRED)
 
     for structure in tracked(tried, "structure"):
@@ -955,7 +955,7 @@ def response_figures(
     rise = time * float(reached[1][0] - reached[0][0]) if len(reached[1]) else math.inf
     outside = np.flatnonzero(np.abs(way - 1.0) > _BAND)
     settled = 0 if not len(outside) else int(outside[-1]) + 1
-    at = np.minimum(u - controller.low, controller.high - u) <= 1e-9 * (1.0 + np.abs(u))
+    at = np.minimum(u - controller.low, controller.high - u) <= 1e-9 * np.abs(u)
     size, t = np.abs(error), time * np.arange(len(y))
     return ResponseFigures(
         rise, time * settled if settled < len(y) else math.inf,

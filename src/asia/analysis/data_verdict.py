@@ -67,7 +67,7 @@ class LinearEvidence:
             f"proposed  linear model of order {chosen.order}"
             + (f", delay {counts}" if counts else "")
             + (f", time constants {times}" if times else ""),
-            f"evidence  held-out simulation error in standard deviations by order: {orders}",
+            f"evidence  error on inner held-out blocks, in standard deviations, by order: {orders}",
         ]
 
 

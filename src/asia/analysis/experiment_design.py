@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from asia._progress import tracked
-from asia.data.trajectory import Array, Signal, filled
+from asia.data.trajectory import Array, Signal, deviations, filled
 from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Simulator
 from asia.judge.sandbox.types import Isolation
@@ -213,7 +213,7 @@ class Judge:
             )
         inputs, y = inputs[good], y[self.usable][:, good]
         places = np.concatenate(self._places(inputs, y))
-        self._scale = places.std(axis=0) + 1e-9
+        self._scale = deviations(places)
         every = -(-len(places) // _MOST_SAMPLES)
         changes = self._changes(inputs)
         parts = [self._uncertainty(u, y[:, k], changes[:, k], every) for k, u in enumerate(inputs)]
@@ -340,8 +340,9 @@ def rise_samples(subject: Subject, samples: int) -> float:
         still, moved = subject.predict(u)[0]
         with np.errstate(invalid="ignore"):
             way = np.abs(moved - still)
-        for column in way.T[np.isfinite(way).all(axis=0)]:
-            if column[-1] > 1e-9 * (1.0 + np.abs(still).max()):
+        rounding = 1e-9 * np.abs(still).max(axis=0)
+        for column, least in zip(way.T, rounding, strict=True):
+            if np.isfinite(column).all() and column[-1] > least:
                 at = float(np.argmax(column >= 0.63 * column[-1]))
                 found = max(found, min(at, samples / 20.0))
     return found

@@ -248,7 +248,8 @@ def _design(
     settling = wanted.settling_max or _SAMPLES * base.sampling_time
     synthesis = _Synthesis(first, 4.0 * base.sampling_time / settling)
     # The load asks for as much input as a unit step of the set point.
-    load = abs(synthesis.hold) if abs(synthesis.hold) > 1e-9 else synthesis.size**-0.5
+    load = synthesis.size**-0.5
+    load = abs(synthesis.hold) if abs(synthesis.hold) > 1e-9 * load else load
     if weights is None:
         tried: Sequence[float] = (synthesis.size * _WEIGHTS).tolist()
     else:

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data.trajectory import Array, Signal, Trajectory
+from asia.data.trajectory import Array, Signal, Trajectory, is_constant
 from asia.errors import UserError
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
@@ -132,10 +132,11 @@ def _likeness(u: Array) -> Array:
     length, lags = len(u), len(u) // 2 + 1
     size = 2 ** int(np.ceil(np.log2(2 * max(length, 1))))
     rows = [np.ones(lags)]
-    for v in (u - u.mean(axis=0)).T:
-        variance = float(v @ v) / length
-        if variance <= 1e-24 * max(1.0, float(abs(u).max()) ** 2):
+    for values in u.T:
+        if is_constant(values):
             continue
+        v = values - values.mean()
+        variance = float(v @ v) / length
         product = np.fft.irfft(abs(np.fft.rfft(v, size)) ** 2, size)[:lags]
         squares = np.concatenate([[0.0], np.cumsum(v**2)])
         count = length - np.arange(lags)

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from asia.data.trajectory import Array, Mask, Trajectory
+from asia.data.trajectory import Array, Mask, Trajectory, deviations, is_constant
 from asia.errors import UserError
 
 T = TypeVar("T")
@@ -41,8 +41,6 @@ _SHORTEST_LAG, _LONGEST_LAG = 0.05, 10.0
 _APART = 2e-5
 # Iterations of a fit, and lags that the scan compares.
 _ITERATIONS, _SCANNED = 30, 12
-# A signal whose deviation is below so many roundings of its magnitude is constant.
-_ULPS = 8.0
 
 
 @dataclass(frozen=True)
@@ -119,12 +117,6 @@ class OutputTransfer:
     """The same after the filter of the noise, over their deviation."""
     contributions: tuple[tuple[Array, ...], ...]
     """Simulated part (T,) of each input, by record."""
-
-
-def is_constant(values: Array) -> bool:
-    """Return whether a signal moves by no more than its rounding."""
-    size = float(np.abs(values).max(initial=0.0))
-    return not values.size or float(np.ptp(values)) <= _ULPS * np.finfo(float).eps * size
 
 
 def fit_transfer(
@@ -244,7 +236,7 @@ class _Data:
             raise UserError("process model: the output does not change")
         self.moving = [j for j in range(self.inputs) if not is_constant(u[:, j])]
         self.u_mean, self.y_mean = u.mean(axis=0), float(y.mean())
-        self.u_std = np.array([float((v - v.mean()).std()) or 1.0 for v in u.T])
+        self.u_std = deviations(u)
         self.y_std = float((y - self.y_mean).std())
         scaled = [(r.u - self.u_mean) / self.u_std for r in kept]
         self.u = [v[:, self.moving] for v in scaled]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory, is_constant
 
 # Test samples that duplicate training samples or lie outside the training input range.
 
@@ -282,7 +282,7 @@ def find_repetition(
         folds: held-out and training parts of each fold.
     """
     whole = np.concatenate(inputs)
-    moving = np.ptp(whole, axis=0) > 1e-12 * np.abs(whole).max(axis=0, initial=0.0)
+    moving = [not is_constant(v) for v in whole.T]
     z = whole[:, moving]
     if not z.shape[1] or not folds:
         return None

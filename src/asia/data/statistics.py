@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from asia._progress import tracked
 from asia.data.frequency import find_period, frequency_response
-from asia.data.process import OutputTransfer, fit_transfer, is_constant, once_for_records
+from asia.data.process import OutputTransfer, fit_transfer, once_for_records
 from asia.data.relations import FoundTransport, find_transport
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory, deviations, is_constant
 from asia.errors import UserError
 
 
@@ -33,11 +33,6 @@ def _block_means(values: Array, size: int) -> Array:
     """Means (blocks, n) of blocks of so many samples."""
     blocks = len(values) // size
     return values[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
-
-
-def _deviations(values: Array) -> Array:
-    """Deviations (n,) of columns (T, n), 1 for a constant one."""
-    return np.array([1.0 if is_constant(v) else float((v - v.mean()).std()) for v in values.T])
 
 
 # Delay from each input to each output.
@@ -300,7 +295,7 @@ def _news(records: Sequence[Trajectory], channel: int, order: int) -> list[Array
     u = np.concatenate([r.u for r in records])
     if is_constant(u[:, channel]):
         return None
-    mean, size = u.mean(axis=0), _deviations(u)
+    mean, size = u.mean(axis=0), deviations(u)
     scaled = [(r.u - mean) / size for r in records]
     pasts = [
         np.hstack([*_lagged(v, range(1, order + 1), order), np.ones((len(v) - order, 1))])
@@ -322,7 +317,7 @@ def _predictor(records: tuple[Trajectory, ...], output: int) -> Predictor | None
     if is_constant(y[:, output]):
         return None
     u = np.concatenate([r.u for r in used.values()])
-    u_mean, u_size, y_mean, y_size = u.mean(axis=0), _deviations(u), y.mean(axis=0), _deviations(y)
+    u_mean, u_size, y_mean, y_size = u.mean(axis=0), deviations(u), y.mean(axis=0), deviations(y)
     nu, ny = u.shape[1], y.shape[1]
     lengths = [len(r) for r in used.values()]
     samples = sum(lengths)
@@ -439,7 +434,7 @@ def _one_step_poles(
     y = np.concatenate([one[:, output] for _, one in signals])
     if is_constant(y):
         return np.zeros(0)
-    mean, size = u.mean(axis=0), _deviations(u)
+    mean, size = u.mean(axis=0), deviations(u)
     level, spread = float(y.mean()), float(y.std())
     scaled = [((one - mean) / size, (two[:, output] - level) / spread) for one, two in signals]
     x = np.concatenate([
@@ -502,7 +497,7 @@ def noise_of_periods(records: tuple[Trajectory, ...]) -> float | None:
 
 def several_levels(records: Sequence[Trajectory]) -> bool:
     """Return whether the inputs come in levels that are clearly apart, several records a level."""
-    scale = _deviations(np.concatenate([r.u for r in records]))
+    scale = deviations(np.concatenate([r.u for r in records]))
     sizes = np.sort([np.sqrt(((r.u / scale) ** 2).mean()) for r in records])
     cuts = np.flatnonzero(sizes[1:] > _APART * sizes[:-1]) + 1
     return len(cuts) > 0 and min(map(len, np.split(sizes, cuts))) >= _FEWEST
@@ -772,10 +767,6 @@ def _late(values: Array, lag: int) -> Array:
     return columns[_LAGS - lag : len(columns) - lag]
 
 
-# Samples of the shortest rest: fewer at a limit may be the top of a motion.
-_SHORTEST_REST = 3
-
-
 # Variable transport delays set by an input: a flow in a pipe, the speed of a belt.
 
 
@@ -795,6 +786,13 @@ def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
     each = [find_transport(records, j) for j in paces[:_MOST_INPUTS]]
     likely = [f for f in each if f.ratio < _LARGEST_RATIO and f.delay > _LEAST_DELAY]
     return min(likely, key=lambda f: f.ratio, default=None)
+
+
+# Limits that an output is driven against.
+
+
+# Samples of the shortest rest: fewer at a limit may be the top of a motion.
+_SHORTEST_REST = 3
 
 
 @once_for_records

@@ -220,6 +220,24 @@ def data_digest(trajectories: Sequence[Trajectory]) -> str:
     return digest.hexdigest()
 
 
+# Sizes of signals.
+
+
+# A signal that moves by less than so many roundings of its magnitude is constant.
+_ULPS = 8.0
+
+
+def is_constant(values: Array) -> bool:
+    """Return whether a signal moves by no more than its rounding."""
+    size = float(np.abs(values).max(initial=0.0))
+    return not values.size or float(np.ptp(values)) <= _ULPS * np.finfo(float).eps * size
+
+
+def deviations(values: Array) -> Array:
+    """Return the standard deviations (n,) of signals (T, n); 1 for a constant one."""
+    return np.where([is_constant(v) for v in values.T], 1.0, values.std(axis=0))
+
+
 # Values that double precision can be reckoned with: their squares neither overflow nor vanish.
 
 

@@ -275,16 +275,12 @@ def linearize(
             label = name if len(there) == 1 else f"{name} ({place})"
             rests = bool(np.isfinite(point.residual))
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
+    best = opened.view.best
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
         tuple(records), problem.responses, integrating(records), noise,
-        _fit(opened),
+        None if best is None or best.score is None else 100.0 * (1.0 - best.score.value),
     )  # fmt: skip
-
-
-def _fit(run: Run) -> float | None:
-    best = run.view.best
-    return None if best is None or best.score is None else 100.0 * (1.0 - best.score.value)
 
 
 @dataclass(frozen=True)

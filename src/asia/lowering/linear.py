@@ -27,6 +27,9 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 _NEGLIGIBLE = 1e-9
 # Distance of a pole from 1 at which the linear model counts as an integrator.
 _INTEGRATOR = 1e-6
+# Size of a discrete pole below which it holds past samples, within the error of a multiple
+# eigenvalue, and has no time constant.
+_NO_DYNAMICS = 1e-3
 # Samples of an impulse response.
 _IMPULSE = 2_000
 _SETTLING, _NEWTON = 20_000, 50
@@ -58,6 +61,8 @@ class LinearModel:
     def poles(self) -> ComplexArray:
         """Eigenvalues (n,) of A, complex, the slowest first."""
         found = np.asarray(np.linalg.eigvals(self.a), np.complex128)
+        if self.sampling_time:
+            found[np.abs(found) < _NO_DYNAMICS] = 0.0
         size = np.real(found) if self.sampling_time == 0 else np.abs(found)
         return found[np.argsort(-size, kind="stable")]
 
@@ -73,7 +78,7 @@ class LinearModel:
         mass = np.zeros_like(pencil)
         mass[:n, :n] = np.eye(n)
         found = np.asarray(eig(pencil, mass, right=False), np.complex128)
-        found = found[np.isfinite(found) & (np.abs(found) < 1e8)]
+        found = found[np.isfinite(found) & (np.abs(found) < 1e8 * self._rate)]
         return found if m else np.zeros(0, np.complex128)
 
     @property
@@ -88,8 +93,17 @@ class LinearModel:
     def is_unstable(self) -> bool:
         """Whether a mode grows, by more than an integrator does."""
         if not self.sampling_time:
-            return bool((np.real(self.poles) > _INTEGRATOR).any())
+            return bool((np.real(self.poles) > _INTEGRATOR * self._rate).any())
         return bool((np.abs(self.poles) > 1.0 + _INTEGRATOR).any())
+
+    @property
+    def _rate(self) -> float:
+        """Size that poles are compared with: 1 of a discrete model, the fastest of another."""
+        return 1.0 if self.sampling_time else float(np.abs(self.poles).max(initial=0.0)) or 1.0
+
+    def integrates(self, pole: complex) -> bool:
+        """Return whether a pole is an integrator."""
+        return abs(pole - (1.0 if self.sampling_time else 0.0)) < _INTEGRATOR * self._rate
 
     @property
     def slope_gain(self) -> Array:
@@ -114,7 +128,10 @@ class LinearModel:
         for _ in range(self.order + 1):
             responses.append(self.c @ part)
             part = self.a @ part
-        scale = max(float(np.abs(responses).max(initial=0.0)), 1e-300)
+        # Relative to the responses of the same output, and of the same input.
+        sizes = np.abs(responses).max(axis=0)
+        rows = np.maximum(sizes.max(axis=1, keepdims=True, initial=0.0), 1e-300)
+        scale = rows * (sizes / rows).max(axis=0, keepdims=True, initial=0.0)
         for k, one in reversed(list(enumerate(responses))):
             found[np.abs(one) > 1e-9 * scale] = k
         return found
@@ -124,7 +141,7 @@ class LinearModel:
         is one mode. nan where a discrete pole at or below 0 has none."""
         found: list[tuple[complex, float, float, float]] = []
         for pole in self.poles:
-            if pole.imag < -1e-12:
+            if pole.imag < 0:
                 continue
             if self.sampling_time and pole.imag == 0 and pole.real <= 0:
                 found.append((complex(pole), math.nan, math.nan, math.nan))
@@ -234,11 +251,13 @@ def settle(
 ) -> Array:
     """State (n,) after a constant input; ended early where it is not finite, and where a step
     changes it by less than the share `change`."""
+    size = np.abs(x)
     for _ in range(samples):
         after = joined(evaluate(model.update, [*split(model, x), u]))
         if not np.isfinite(after).all():
             return x
-        if np.abs(after - x).max(initial=0.0) <= change * (1.0 + np.abs(x).max(initial=0.0)):
+        size = np.maximum(size, np.abs(after))
+        if (np.abs(after - x) <= change * size).all():
             return after
         x = after
     return x
@@ -277,32 +296,44 @@ def operating_points(
                 break
             x = x + move[:n]
             inputs = inputs if y is None else inputs + move[n:]
-            if np.abs(move).max(initial=0.0) <= 1e-12 * (1.0 + np.abs(x).max(initial=0.0)):
+            if (np.abs(move[:n]) <= 1e-12 * np.abs(x)).all():
                 break
         return x, inputs
 
+    # The states and outputs that the operating points are compared with.
+    size = np.abs(starts).max(axis=0, initial=0.0)
+    level = np.abs(
+        [evaluate(model.step, [*split(model, one), u])[0] for one in starts]
+        + ([] if y is None else [y])
+    ).max(axis=0)
     for start in starts:
         x, inputs = start, np.array(u, np.float64)
         # Newton's method ends the settling, unless it leads away from where that goes.
         for change in (1e-6, 1e-13):
             settled = settle(model, start, u, change=change)
             x, inputs = newton(settled)
-            size = 1.0 + np.abs(settled).max(initial=0.0)
-            if y is not None or np.abs(x - settled).max(initial=0.0) <= 0.01 * size:
+            largest = max(size.max(initial=0.0), np.abs(settled).max(initial=0.0))
+            if y is not None or np.abs(x - settled).max(initial=0.0) <= 0.01 * largest:
                 break
             start = settled
         outputs, *after = evaluate(model.step, [*split(model, x), inputs])
-        rest = np.abs(joined(after) - x).max(initial=0.0) / (1.0 + np.abs(x).max(initial=0.0))
-        off = 0.0 if y is None else float(np.abs(outputs - y).max() / (1.0 + np.abs(y).max()))
-        point = OperatingPoint(x, inputs, outputs, max(float(rest), off))
+        own = np.maximum(size, np.abs(x))
+        rest = _share(joined(after) - x, np.maximum(own, 1e-9 * own.max(initial=0.0)))
+        off = 0.0 if y is None else _share(outputs - y, level)
+        point = OperatingPoint(x, inputs, outputs, max(rest, off))
         known = any(
-            np.allclose(one.y, point.y, rtol=1e-4, atol=1e-6)
-            and np.allclose(one.u, point.u, rtol=1e-4, atol=1e-6)
+            np.allclose(one.y, point.y, 1e-4, 1e-6 * level)
+            and np.allclose(one.u, point.u, 1e-4, 1e-6 * np.abs(u))
             for one in found
         )
         if np.isfinite(x).all() and point.residual <= 1e-7 and not known:
             found.append(point)
     return found
+
+
+def _share(values: Array, sizes: Array) -> float:
+    """Largest value relative to its size; a value without a size counts as it is."""
+    return float((np.abs(values) / np.where(sizes > 0, sizes, 1.0)).max(initial=0.0))
 
 
 def linearised(model: LoweredModel, point: OperatingPoint, sampling_time: float) -> LinearModel:

@@ -262,7 +262,7 @@ def pid(
 
 def _pid_maker(plants: Sequence[PlantModel], context: Context) -> Callable[[Array], _PidLaw]:
     task = task_of(context)
-    half = np.array([max(0.5 * (high - low), 1e-9) for low, high in task.ranges])
+    half = np.array([0.5 * (high - low) or 1.0 for low, high in task.ranges])
     return partial(
         _PidLaw, basis=_basis(plants, context), limits=InputLimits.of(context),
         controlled=list(task.controlled), half=half,
@@ -310,7 +310,7 @@ def _oscillation(
         raise ValueError("controllers: the loop does not oscillate under a relay")
     period = 2.0 * float(np.mean(np.diff(switches[-6:])))
     part = np.array(seen[switches[-5] :])
-    amplitude = max(0.5 * float(np.ptp(part)), 1e-12)
+    amplitude = max(0.5 * float(np.ptp(part)), 1e-300)
     return 4.0 * abs(size) / (np.pi * amplitude), period
 
 
@@ -632,7 +632,8 @@ def with_residual(
     def make(theta: Array) -> _ResidualLaw:
         return _ResidualLaw(
             base.law, theta, hidden, limits, list(task.controlled), ranges.mean(axis=1),
-            np.maximum(0.5 * np.ptp(ranges, axis=1), 1e-9), np.array(task.tolerance)[:nr],
+            np.array([0.5 * (high - low) or 1.0 for low, high in ranges]),
+            np.array(task.tolerance)[:nr],
         )  # fmt: skip
 
     count = 4 * nr * hidden + hidden * nu

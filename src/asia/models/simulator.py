@@ -708,7 +708,7 @@ def probe(trajectories: Sequence[Trajectory], context: Context) -> SimulatorProb
     middle = np.full(error.size, 0.5)
     z, start = middle[: error.count], middle[error.count :]
     first = model.run(record.u, z, start)
-    tolerance = 1e-6 * np.maximum(np.ptp(first, axis=0), 1e-12)
+    tolerance = 1e-6 * np.ptp(first, axis=0)
     # The first call loads libraries.
     begin = time.monotonic()
     again = model.run(record.u, z, start)

@@ -12,10 +12,9 @@ import numpy as np
 
 from asia.data.bad_samples import find_bad_samples
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
-from asia.data.process import is_constant
 from asia.data.relations import Repetition, find_repetition
 from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback, limit_shares
-from asia.data.trajectory import Array, Signal, Trajectory
+from asia.data.trajectory import Array, Signal, Trajectory, is_constant
 from asia.errors import UserError
 from asia.problem.feedback import loop_lines
 from asia.problem.folds import splits, windows
@@ -75,8 +74,8 @@ class SignalCheck:
 
     @property
     def constant(self) -> bool:
-        """Whether it never moves; std may be above 0 by rounding."""
-        return self.minimum == self.maximum
+        """Whether it moves by no more than its rounding."""
+        return is_constant(np.array([self.minimum, self.maximum]))
 
 
 @dataclass(frozen=True)
@@ -254,19 +253,25 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
 def _signal_check(
     signal: Signal, role: Literal["input", "output"], parts: Sequence[Array], sampling_time: float
 ) -> SignalCheck:
-    values, longest = np.concatenate(parts), max(parts, key=len)
+    values = np.concatenate(parts)
     low, high = float(values.min()), float(values.max())
     near = 1e-6 * (high - low)
     # A Hann window: without it the jump between a record's ends looks like fast motion.
-    power = np.abs(np.fft.rfft((longest - longest.mean()) * np.hanning(len(longest)))) ** 2
-    line = int(np.searchsorted(np.cumsum(power), 0.99 * power.sum()))
-    share = line / max(len(power) - 1, 1) if power.sum() > 0 else 0.0
+    spectra = [np.abs(np.fft.rfft((v - v.mean()) * np.hanning(len(v)))) ** 2 for v in parts]
+    power = np.concatenate(spectra)
+    frequency = np.concatenate([np.arange(len(s)) / max(len(s) - 1, 1) for s in spectra])
+    rising = np.argsort(frequency, kind="stable")
+    line = int(np.searchsorted(np.cumsum(power[rising]), 0.99 * power.sum()))
+    share = float(frequency[rising[line]]) if power.sum() > 0 else 0.0
     # Ljung, System Identification (2nd ed.), section 13.2: u is persistently exciting of order n
     # when the n x n covariance of its successive samples is non-singular.
-    start = longest[:10_000]
-    size = min(_HIGHEST_ORDER, len(start) // 4)
-    rows = np.lib.stride_tricks.sliding_window_view(start - start.mean(), size)
-    order = int(np.linalg.matrix_rank(rows.T @ rows, tol=None, rtol=1e-9, hermitian=True))
+    starts = [v[:10_000] for v in parts]
+    size = min(_HIGHEST_ORDER, max(map(len, starts)) // 4)
+    covariance = np.zeros((size, size))
+    for v in (v - v.mean() for v in starts if len(v) >= size):
+        rows = np.lib.stride_tricks.sliding_window_view(v, size)
+        covariance += rows.T @ rows
+    order = int(np.linalg.matrix_rank(covariance, tol=None, rtol=1e-9, hermitian=True))
     return SignalCheck(
         signal=signal,
         role=role,
@@ -711,8 +716,7 @@ def _levels_text(found: FrequencyResponse) -> str:
     if levels.noise is None:
         return (
             f"no period; noise and distortion together {_decibels(levels.both)} (squared coherence "
-            f"{1.0 - levels.both**2:.3g}): a linear model has V of about {levels.both:.2g}, "
-            "or less where the system is as slow as the records are long"
+            f"{1.0 - levels.both**2:.3g})"
         )
     parts = {"odd distortion": levels.odd, "even distortion": levels.even}
     if levels.odd is None and levels.even is None:

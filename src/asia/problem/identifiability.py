@@ -316,10 +316,13 @@ class ParameterChanges:
         columns = self._theta.shape[1]
         first = [[seen.get(name, typical)] * columns for name in physics.states]
         x: ComplexArray = np.array(first, np.complex128)
+        # States that settle at zero are small beside those on the way.
+        size = np.abs(x).max()
         with np.errstate(all="ignore"):
             for _ in range(_SETTLING):
                 before, x = x, self._after(x, rest[0][:, None], self._theta)
-                if np.abs(x - before).max() <= 1e-9 * (1.0 + np.abs(x).max()):
+                size = np.maximum(size, np.abs(x).max())
+                if np.abs(x - before).max() <= 1e-9 * size:
                     break
         self._rest = x
 

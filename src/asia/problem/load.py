@@ -59,7 +59,7 @@ def load_problem(name_or_path: str | Path, guard_share: float | None = None) -> 
     Args:
         guard_share: share of the training records to hold back as guard records, where the problem
             names none. A simulated source makes a fresh record instead, a control problem draws
-            as many further scenarios.
+            this share of its training scenarios in addition.
 
     Raises:
         UserError: with one sentence for each problem that the user can fix

@@ -267,7 +267,7 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     assert "at u=2: pump_voltage 2 V; tank2_level" in page.read_text("utf-8")
     wrong = command_line("linear", "--runs", tmp_path, "--at", "u=2,3")
     assert wrong.code == 2
-    assert "expected start, u= with 1 or y= with 1 numbers" in wrong.err
+    assert "expected start, inputs (pump_voltage) or all outputs (tank2_level)" in wrong.err
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from asia.errors import UserError
 from asia.problem.folds import make_folds
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
-from asia.problem.seal import open_test, seal
+from asia.problem.seal import open_guard, open_test, seal
 from tests.unit.problem.small_control import PROBLEM, write_control_problem
 
 
@@ -54,6 +54,20 @@ def test_the_sealed_scenarios_are_others(tmp_path: Path) -> None:
     (test,) = open_test(problem)
     assert seal(problem).shared_samples == 0
     assert all(not np.array_equal(test.u, record.u) for record in problem.train)
+
+
+def test_guard_scenarios_are_drawn_where_they_are_asked_for_and_none_is_declared(
+    tmp_path: Path,
+) -> None:
+    folder = write_control_problem(tmp_path / "lag")
+    assert load_problem(folder).guard_names == ()
+    held = load_problem(folder, 0.15)
+    assert held.guard_names == ("guard1",)
+    (guard,) = open_guard(held)
+    for record in (*held.train, *open_test(held)):
+        assert not np.array_equal(guard.u, record.u)
+    (folder / "problem.toml").write_text(PROBLEM.replace("test = 1\n", "test = 1\nguard = 2\n"))
+    assert len(load_problem(folder, 0.15).guard_names) == 2
 
 
 def test_the_lock_restores_the_problem(tmp_path: Path) -> None:

@@ -72,4 +72,3 @@ def test_without_a_period_coherence_speaks(problem_file) -> None:
     record = replace(problem.train[0], u=u, y=u + 0.1 * rng.normal(size=1500))
     (line,) = response_lines(replace(problem, train=(record,)))
     assert "no period; noise and distortion together -20 dB (squared coherence 0.99)" in line
-    assert "a linear model has V of about 0.1" in line

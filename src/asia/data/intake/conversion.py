@@ -173,7 +173,8 @@ def _merged(sheet: FileTable, wanted: Wanted, values: Mapping[str, Array]) -> Ta
     first = max(float(axes[n][0]) for n in wanted.inputs)
     ends = [float(axes[n][-1]) + (steps[n] if n in wanted.inputs else 0.0) for n in axes]
     base = axes[leader]
-    base = base[(base >= first - 1e-9) & (base <= min(ends) + 1e-9)]
+    near = 1e-6 * quick if np.isfinite(quick) else 0.0
+    base = base[(base >= first - near) & (base <= min(ends) + near)]
     step = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
     u = [held(axes[n], values[n][:, None], base)[:, 0] for n in wanted.inputs]
     y = [_placed(axes[n], values[n], base, step) for n in wanted.outputs]

@@ -513,7 +513,8 @@ def _weakest(
     )
     u = np.concatenate([one for _, one in responses])
     low, high = loop.u_range
-    if np.nanmin(u) < low - 1e-9 or np.nanmax(u) > high + 1e-9:
+    slack = 1e-9 * (high - low)
+    if np.nanmin(u) < low - slack or np.nanmax(u) > high + slack:
         text += (
             f"; {loop.u} goes from {np.nanmin(u):.4g} to {np.nanmax(u):.4g}, outside its training "
             f"range {low:.4g} to {high:.4g}, where the models are not tested"

@@ -22,9 +22,6 @@ from asia.interfaces.cli.output import plain
 # Greatest number of inputs for which process models are fitted to records.
 _MOST_INPUTS = 3
 _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
-# Size of a discrete pole below which it holds past samples, within the error of a multiple
-# eigenvalue, and has no time constant.
-_NO_DYNAMICS = 1e-3
 # Share of the response from which a mode has a time constant.
 _LEAST_SHARE = 0.01
 
@@ -126,16 +123,16 @@ def linear(
     found = linearize(directory, at or (), model, isolation=options.level)
     compared = _compared(found, given)
     fitted = _fitted(found.records, found.inputs, found.outputs) if to_tf else []
+    notes = [*found.notes, *filter(None, [fit_note(found.fit)])]
     facts: dict[str, Any] = {
         "run": found.name,
         "model": found.use,
-        "notes": [*found.notes, *filter(None, [fit_note(found.fit)])],
+        "notes": notes,
         "points": [
             _facts(found, one, reduce, to_tf=to_tf, rate=continuous_time) for one in found.points
         ],
         "process_models_of_records": [None if one is None else asdict(one) for one in fitted],
     }
-    notes = [*found.notes, *filter(None, [fit_note(found.fit)])]
     lines = [f"run {found.name}, model {found.use}", *(f"note      {n}" for n in notes)]
     for point, values, measured in zip(found.points, facts["points"], compared, strict=True):
         values["responses"] = [one.facts for one in measured]
@@ -636,7 +633,7 @@ def _pole_lines(
     memory, largest = 0, max((one["real"] for one in poles if one["imag"] <= 1e-12), default=edge)
     for one in poles:
         pole = complex(one["real"], one["imag"])
-        if step and abs(pole) < _NO_DYNAMICS:
+        if step and pole == 0:
             memory += 1 + (pole.imag > 1e-12)
             continue
         text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")

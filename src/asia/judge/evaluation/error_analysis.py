@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context, Model, StepModel
-from asia.data.trajectory import Array, Trajectory, filled, spread_of
+from asia.data.trajectory import Array, Trajectory, filled, is_constant, spread_of
 from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.residual import explained
 from asia.judge.scoring.outcome import without_gaps
@@ -137,8 +137,9 @@ def _floating(leaf: Any) -> bool:
 
 def _sizes(states: Array) -> Array:
     """Typical change (n,) of each state in (H, B, n); 0 for one that stays at zero."""
-    moved = states.std(axis=(0, 1))
-    return np.where(moved > 1e-12, moved, 1e-2 * np.abs(states).max(axis=(0, 1), initial=0.0))
+    flat = states.reshape(-1, states.shape[-1])
+    still = [is_constant(x) for x in flat.T]
+    return np.where(still, 1e-2 * np.abs(flat).max(axis=0, initial=0.0), flat.std(axis=0))
 
 
 @dataclass(frozen=True)
@@ -622,9 +623,9 @@ def modes(model: StepModel, block: Block, y_hat: Array, step: float) -> Iterator
         # A pole near zero is a delay, not a mode.
         if abs(pole) < 1e-2 or np.isnan(frequency):
             continue
-        if abs(pole - 1.0) < 1e-6:
+        if found.integrates(pole):
             yield "integrator"
-        elif pole.imag > 1e-9:
+        elif pole.imag > 0:
             yield f"{frequency:.4g} Hz, damping {damping:.3g}"
         elif constant > 0:
             yield f"time constant {constant:.4g} s"

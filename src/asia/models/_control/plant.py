@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from asia.candidate import Context, StepModel
-from asia.data.trajectory import Array
+from asia.data.trajectory import Array, deviations
 from asia.lowering.linear import LinearModel
 from asia.models._arrays import AnyArray, namespace
 from asia.problem.control_task import ControlTask
@@ -123,7 +123,7 @@ class PlantModel:
         wide = np.concatenate([u, np.repeat(u[-1:], rows - len(u), axis=0)])
         past_u = np.repeat(wide[:, None], context.n_past_u, axis=1)
         past_y = np.tile(records.mean(axis=0), (rows, context.n_past_y, 1))
-        scale, before = records.std(axis=0) + 1e-12, past_y[:, 0]
+        scale, before = deviations(records), past_y[:, 0]
         y = before
         with jax.enable_x64(True):
             state = jax.tree.map(np.asarray, self.model.initial(past_u, past_y, wide))

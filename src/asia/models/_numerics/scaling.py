@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asia.data.process import is_constant
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory, deviations
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class Scaling:
         """Statistics over all samples of all records; a constant channel is only shifted."""
         u = np.concatenate([t.u for t in trajectories])
         y = np.concatenate([t.y for t in trajectories])
-        return cls(u.mean(axis=0), _spread(u), y.mean(axis=0), _spread(y))
+        return cls(u.mean(axis=0), deviations(u), y.mean(axis=0), deviations(y))
 
     def inputs(self, u: Array) -> Array:
         """Scale inputs (..., nu) in physical units to z-scores."""
@@ -38,8 +37,3 @@ class Scaling:
     def physical(self, y: Array) -> Array:
         """Convert outputs (..., ny) from z-scores to physical units."""
         return y * self.y_std + self.y_mean
-
-
-def _spread(values: Array) -> Array:
-    # A constant channel has rounding noise for a standard deviation; dividing by it would amplify.
-    return np.where([is_constant(v) for v in values.T], 1.0, values.std(axis=0))

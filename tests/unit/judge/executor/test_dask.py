@@ -253,7 +253,7 @@ def test_an_interrupted_search_leaves_the_machines(cluster: Cluster) -> None:
     source = SLOW.format(seconds=110.0)
     with pytest.raises(KeyboardInterrupt):
         go(cluster.folder, executor, 3, Ahead((source, source + "# 2\nX = 1\n")), stop)
-    assert time.monotonic() - begin[0] < 60.0
+    assert time.monotonic() - begin[0] < 44.0
     with pytest.raises(SandboxError, match="interrupted"):
         executor.carry(lambda r, d, u: b"", b"", "", b"")
     executor.close()
@@ -263,5 +263,5 @@ def test_an_interrupted_search_leaves_the_machines(cluster: Cluster) -> None:
     assert len(states) == 2
     went = go(cluster.folder / "again", after, 2, Ahead((arx(2),)))
     assert len(went.finished) == 2
-    assert time.monotonic() - start < 100.0, "the workers were still busy"
+    assert time.monotonic() - start < 99.0, "the workers were still busy"
     after.close()

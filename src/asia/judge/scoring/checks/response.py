@@ -111,10 +111,6 @@ def _gains(x: Array, y: Array, inputs: int, pairs: int) -> list[_Gain]:
 # anything.
 
 SMALL = 1e-3
-# Share of the largest singular value below which a state is not seen.
-_SEEN = 1e-6
-_MOST_STATES = 8
-_MOST_ROWS = 60
 # With more outputs than these the sentence would be a table.
 _MOST_GAINS = 3
 
@@ -136,29 +132,9 @@ def frequency_response_of(impulse: Array, omega: Array) -> NDArray[np.complex128
     return np.asarray(np.exp(-1j * angles) @ impulse, np.complex128)
 
 
-def poles(impulse: Array) -> NDArray[np.complex128]:
-    """The poles of the linear model with this impulse response (n, ny), the slowest first.
-
-    Source: Kung, A new identification and model reduction algorithm via singular value
-    decomposition, Asilomar 1978.
-    """
-    rows = min(_MOST_ROWS, (len(impulse) - 1) // 2)
-    if rows < 2 or not np.any(impulse[1:]):
-        return np.zeros(0, np.complex128)
-    markov = impulse[1 : 2 * rows]
-    hankel = np.concatenate([markov[k : k + rows].T.reshape(-1, rows) for k in range(rows)])
-    u, values, _ = np.linalg.svd(hankel, full_matrices=False)
-    order = min(_MOST_STATES, int(np.sum(values > _SEEN * values[0])))
-    ny = impulse.shape[1]
-    observability = u[:, :order] * np.sqrt(values[:order])
-    a = np.linalg.lstsq(observability[:-ny], observability[ny:], rcond=None)[0]
-    found = np.asarray(np.linalg.eigvals(a), np.complex128)
-    return found[np.argsort(-np.abs(found), kind="stable")]
-
-
 def check_responses(data: ValidationData) -> Check:
-    """Static gains, slowest poles and step responses: shown."""
-    name, axes = "poles and static gain", ("time [s]", "change for a step of 1")
+    """Static gains and step responses: shown."""
+    name, axes = "static gain", ("time [s]", "change for a step of 1")
     outputs = data.simulations.outputs
     if not data.linear_responses:
         reason = "does not apply: the response of the model to small input steps is not finite"
@@ -171,14 +147,9 @@ def check_responses(data: ValidationData) -> Check:
             curves.append(
                 CheckCurve(f"{one.input} to {output}, {one.point}", times, one.step[:, k])
             )
-        pole = ""
-        for slowest in poles(one.impulse)[:1].tolist():
-            pole = f", slowest pole z = {slowest.real:.4g}"
-            if abs(slowest.imag) >= 1e-9 * max(abs(slowest), 1e-300):
-                pole += f" ± {abs(slowest.imag):.4g}j"
         if not one.settled:
             words.append(
-                f"{one.input} at {one.point}: no static gain, the response does not settle{pole}"
+                f"{one.input} at {one.point}: no static gain, the response does not settle"
             )
             continue
         gains = [
@@ -187,7 +158,7 @@ def check_responses(data: ValidationData) -> Check:
         ]
         if len(outputs) > _MOST_GAINS:
             gains = [f"of {len(outputs)} outputs in the curves"]
-        words.append(f"{one.input} at {one.point}: static gain {listed(gains)}{pole}")
+        words.append(f"{one.input} at {one.point}: static gain {listed(gains)}")
     deviation, blocks = data.simulations.deviation, data.simulations.blocks
     errors = np.concatenate([b.residual for b in blocks]) / deviation
     words += filter(None, [fit_note(100.0 * (1.0 - float(np.sqrt((errors**2).mean()))))])

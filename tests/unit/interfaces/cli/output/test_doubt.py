@@ -21,4 +21,7 @@ def test_a_model_that_says_nothing_is_doubted(tmp_path: Path, driven: bool) -> N
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
     lines = verdict_lines(run.view)
     assert lines[0].startswith("verdict not usable") == (not driven)
+    assert any(line.strip().startswith("It is worse than the mean") for line in lines) == (
+        not driven
+    )
     assert ('kind = "windows"' in " ".join(lines)) == (not driven)
