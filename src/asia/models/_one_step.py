@@ -27,11 +27,10 @@ from asia.models._numerics.lags import (
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
 from asia.models._numerics.training_records import (
-    Indices,
     ScaledData,
     ScaledTrajectory,
-    output_groups,
     past_length,
+    regress_outputs,
     shortened,
 )
 from asia.models._steps import WrappedModel
@@ -97,17 +96,6 @@ def equations(
         np.concatenate([v[::stride] for v in each]) for each in zip(*parts, strict=True)
     )
     return products(z, terms), y, weight
-
-
-def moments(x: Array, y: Array, weight: Array) -> list[tuple[Indices, Array, Array]]:
-    """Groups of outputs that count in the same rows: their numbers, the products of x (N, M) with
-    itself, and with these outputs of y (N, ny), over the rows in which weight (N, ny) counts them.
-    """
-    numbers, found = np.arange(y.shape[1]), list[tuple[Indices, Array, Array]]()
-    for rows, outputs in output_groups(weight):
-        z = x[rows]
-        found.append((numbers[outputs], z.T @ z, z.T @ y[rows][:, outputs]))
-    return found
 
 
 def solve(gram: Array, cross: Array, ridge: float) -> Array:
@@ -301,9 +289,8 @@ def linear_run(
     times. Its coefficients are polynomials of degree `scheduling` in the newest scheduling
     signals."""
     terms = _linear_terms(lags, context, scheduling)
-    theta = np.zeros((len(terms), context.ny))
-    for outputs, gram, cross in moments(*equations(records, lags, terms)):
-        theta[:, outputs] = solve(gram, cross, ridge)
+    rows = equations(records, lags, terms)
+    theta = regress_outputs(*rows, lambda x, y: solve(x.T @ x, x.T @ y, ridge))
     model = Polynomial(terms, theta, np.ones(theta.shape, bool))
     return PolynomialRun(
         model, fit_history(records, lags, context), OutputRange.of(records, margin)

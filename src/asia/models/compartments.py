@@ -20,7 +20,7 @@ from asia.models import greybox
 from asia.models._config import check_at_least, demand
 from asia.models._equations.config import Sensor
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._numerics.training_records import check, measured_weight, output_groups
+from asia.models._numerics.training_records import check, measured_weight, regress_outputs
 from asia.models._steps import TrainableModel
 from asia.problem.physics import Bounds, ParameterRange, Physics
 
@@ -177,18 +177,17 @@ def _effects(trajectories: Sequence[Trajectory]) -> Array:
     """
     total = np.zeros((trajectories[0].u.shape[1], trajectories[0].y.shape[1]))
     for ahead in _LOOK_AHEAD:
-        rows, changes, weights = list[Array](), list[Array](), list[Array]()
+        parts = list[tuple[Array, Array, Array]]()
         for t in trajectories:
             if len(t.y) <= ahead:
                 continue
             sums = np.cumsum(np.concatenate([np.zeros((1, t.u.shape[1])), t.u]), axis=0)
             means = (sums[ahead:-1] - sums[: -1 - ahead]) / ahead
-            weights.append(measured_weight(t)[ahead:] * measured_weight(t)[:-ahead])
-            rows.append(np.concatenate([means, t.y[:-ahead], np.ones((len(means), 1))], axis=1))
-            changes.append(t.y[ahead:] - t.y[:-ahead])
-        if rows:
-            x, y = np.concatenate(rows), np.concatenate(changes)
-            for at, outputs in output_groups(np.concatenate(weights)):
-                theta = np.linalg.lstsq(x[at], y[at][:, outputs], rcond=None)[0]
-                total[:, outputs] += np.sign(theta[: len(total)])
+            weight = measured_weight(t)[ahead:] * measured_weight(t)[:-ahead]
+            row = np.concatenate([means, t.y[:-ahead], np.ones((len(means), 1))], axis=1)
+            parts.append((row, t.y[ahead:] - t.y[:-ahead], weight))
+        if parts:
+            x, y, weight = map(np.concatenate, zip(*parts, strict=True))
+            theta = regress_outputs(x, y, weight, lambda x, y: np.linalg.lstsq(x, y)[0])
+            total += np.sign(theta[: len(total)])
     return np.where(total < 0, -1.0, 1.0)

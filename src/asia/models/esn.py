@@ -27,9 +27,9 @@ from asia.models._numerics.training_records import (
     check,
     flat_past,
     mean_square,
-    output_groups,
     past_length,
     past_windows,
+    regress_outputs,
     scaled,
     window_rows,
 )
@@ -225,9 +225,7 @@ def _whole_records(
     """States of whole records from an empty reservoir; no less than a quarter of each record is
     used."""
     past = past_length(context)
-    features: list[Array] = []
-    responses: list[Array] = []
-    weights: list[Array] = []
+    parts = list[tuple[Array, Array, Array]]()
     before: list[Array] = []
     seen: list[Array] = []
     for r, at in zip(records, window_rows(records, context), strict=True):
@@ -238,13 +236,12 @@ def _whole_records(
         stride = max(1, len(r) * len(records) // _MOST_SAMPLES)
         rows = np.arange(first, len(r), stride)
         rows = rows[r.counts[rows].any(axis=1)]
-        features.append(_features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0])
-        responses.append(r.y[rows])
-        weights.append(r.counts[rows])
+        features = _features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0]
+        parts.append((features, r.y[rows], r.counts[rows]))
         known = np.isin(rows - past, np.arange(len(r) - past)[at])
         before.append(states[rows[known] - 1])
         seen.append(past_windows(r, context)[rows[known] - past])
-    x, y, weight = (np.concatenate(values) for values in (features, responses, weights))
+    x, y, weight = map(np.concatenate, zip(*parts, strict=True))
     return fit_encoder(seen, before), x, y, weight
 
 
@@ -264,23 +261,21 @@ def _horizon_segments(
     bias = config.bias * rng.uniform(-1, 1, n)
     start = Encoder(np.zeros((size, n)), np.zeros(n), inner, bias, np.eye(n))
     features = _features(reservoir.run(start(past), data.u), data.u, past, context.horizon)
-    counted = data.weight.any(axis=-1)
-    return start, features[counted], data.y[counted], data.weight[counted]
+    x, y, weight = (v.reshape(-1, v.shape[-1]) for v in (features, data.y, data.weight))
+    return start, x, y, weight
 
 
 def _readout(x: Array, y: Array, weight: Array, method: LeastSquares) -> Encoder:
     """Map from features (N, d) to outputs (N, ny), each fitted where its weight counts it."""
-    weights, bias = np.zeros((x.shape[1], y.shape[1])), np.zeros(y.shape[1])
-    for rows, outputs in output_groups(weight):
-        one = _ridge_readout(x[rows], y[rows][:, outputs], method)
-        weights[:, outputs], bias[outputs] = one.weights, one.bias
-    return affine(weights, bias)
 
+    def solve(x: Array, y: Array) -> Array:
+        if method.ridge is None:
+            one = fit_encoder([x], [y])
+            return np.vstack([one.weights, one.bias])
+        center, mean = x.mean(axis=0), y.mean(axis=0)
+        gram = (x - center).T @ (x - center) + method.ridge * len(x) * np.eye(x.shape[1])
+        weights = np.linalg.lstsq(gram, (x - center).T @ (y - mean), rcond=None)[0]
+        return np.vstack([weights, mean - center @ weights])
 
-def _ridge_readout(x: Array, y: Array, method: LeastSquares) -> Encoder:
-    if method.ridge is None:
-        return fit_encoder([x], [y])
-    center, mean = x.mean(axis=0), y.mean(axis=0)
-    gram = (x - center).T @ (x - center) + method.ridge * len(x) * np.eye(x.shape[1])
-    weights = np.linalg.lstsq(gram, (x - center).T @ (y - mean), rcond=None)[0]
-    return affine(weights, mean - center @ weights)
+    theta = regress_outputs(x, y, weight, solve)
+    return affine(theta[:-1], theta[-1])

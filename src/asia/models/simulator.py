@@ -167,12 +167,11 @@ class Simulator:
         lengths = [record.y.shape for record in trajectories]
         residuals = [e.reshape(s) for e, s in zip(error.errors(theta), lengths, strict=True)]
         slopes = [j.reshape(*s, -1) for j, s in zip(parts, lengths, strict=True)]
-        masks = [measured_weight(record) for record in trajectories]
         covariance = uncertainty.sandwich(
             residuals,
             [j[..., :count] for j in slopes],
             nuisance=[j[..., count:] for j in slopes] if self.plant.initial else None,
-            measured=None if all(m.all() for m in masks) else masks,
+            measured=[measured_weight(record) for record in trajectories],
         )
 
         def report(z: Array) -> list[ParameterEstimate]:

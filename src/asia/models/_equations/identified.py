@@ -70,7 +70,6 @@ class Around:
             [part[:length] for part, length in zip(values, lengths, strict=True)]
             for values in (e, jacobian, nuisance, segments.counts)
         )
-        gaps = any((mask <= 0).any() for mask in masks)
         held, known, weight = error.penalties(theta)
         covariance = uncertainty.sandwich(
             residuals,
@@ -78,7 +77,7 @@ class Around:
             held,
             own if nuisance.shape[-1] else None,
             uncertainty.PriorPenalty(known, weight),
-            masks if gaps else None,
+            masks,
         )
         ranges = dict(zip(structure.equations.parameters, structure.ranges, strict=False))
         learned = zip(structure.learned.names, structure.learned.positive, strict=True)

@@ -158,9 +158,7 @@ def _errors(
 ) -> jax.Array:
     """Errors (N,) at parameters theta (n,)."""
     y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.features, windows.u)
-    error = y - windows.y
-    if windows.weight is not None:
-        error = windows.weight * error
+    error = windows.weight * (y - windows.y)
     return error[:, _EVERY - 1 :: _EVERY].ravel()
 
 

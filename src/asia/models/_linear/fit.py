@@ -623,8 +623,7 @@ def system_estimates(
         return [_errors(other, record, x0) for record, x0 in zip(records, starts, strict=True)]
 
     found, slopes = uncertainty.jacobians_of(residuals, theta)
-    gaps = any((record.counts <= 0).any() for record in records)
-    masks = [record.counts for record in records] if gaps else None
+    masks = [record.counts for record in records]
     covariance = uncertainty.sandwich(found, slopes, nuisance=responses, measured=masks)
     step = -covariance.information @ uncertainty.gradient(found, slopes, responses, masks)
     errors = np.sqrt(np.maximum(np.diagonal(covariance.matrix), 0.0))

@@ -20,7 +20,7 @@ from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.window_predictor import WindowLags
 from asia.models._numerics.encoder import Encoder
-from asia.models._numerics.training_records import ScaledData
+from asia.models._numerics.training_records import Indices, ScaledData, output_groups
 
 Form: TypeAlias = Literal["response", "equation"]
 
@@ -62,16 +62,16 @@ def fit_regularised(
     if n < 2:
         return None
     lags = WindowLags(n, m, n - 1, m, nu, ny)
-    sizes, theta, offset = [n] * nu + [m] * ny * (m > 0), list[Array](), list[float]()
-    shared = all((r.weight == r.weight[:, :1]).all() for r in records)
-    for outputs in [list(range(ny))] if shared else [[k] for k in range(ny)]:
+    sizes = [n] * nu + [m] * ny * (m > 0)
+    theta, offset = np.zeros((sum(sizes), ny)), np.zeros(ny)
+    for _, outputs in output_groups(np.concatenate([r.weight for r in records])):
         gram, moment, squares, mean_x, mean_y, count = _products(records, n, m, outputs)
         if count < n + m or not (squares > 0).all():
             return None
-        for cross, square, mean in zip(moment.T, squares, mean_y, strict=True):
-            theta.append(_coefficients(gram, cross, square, count, sizes))
-            offset.append(float(mean - mean_x @ theta[-1]))
-    system = _realised(np.stack(theta, axis=1), np.array(offset), lags, order)
+        for k, cross, square in zip(outputs, moment.T, squares, strict=True):
+            theta[:, k] = _coefficients(gram, cross, square, count, sizes)
+        offset[outputs] = mean_y - mean_x @ theta[:, outputs]
+    system = _realised(theta, offset, lags, order)
     if system is None:
         return None
     # Initial states of the records, with which the encoder learns from the states.
@@ -87,11 +87,11 @@ def fit_regularised(
 
 
 def _products(
-    records: ScaledData, n: int, m: int, outputs: list[int]
+    records: ScaledData, n: int, m: int, outputs: Indices
 ) -> tuple[Array, Array, Array, Array, Array, float]:
-    """Products of centred regressors with themselves and with some outputs, squares of the outputs,
-    both means and the number of samples in which these and the regressors count. Regressors: n
-    inputs from the newest on, then m past outputs, signal by signal."""
+    """Products of centred regressors with themselves and with outputs that count at the same
+    samples, squares of the outputs, both means and the number of samples. Regressors: n inputs from
+    the newest on, then m past outputs, signal by signal."""
     nu, ny, wanted = records[0].u.shape[1], records[0].y.shape[1], len(outputs)
     width = nu * n + ny * m + wanted
     gram, total, count = np.zeros((width, width)), np.zeros(width), 0.0
@@ -99,8 +99,7 @@ def _products(
     for r in records:
         lost = np.concatenate([[0], np.cumsum((r.weight == 0).any(axis=1))])
         every = np.arange(first, len(r))
-        counted = (r.weight[every][:, outputs] > 0).all(axis=1)
-        every = every[counted & (lost[every] == lost[every - m])]
+        every = every[(r.weight[every, outputs[0]] > 0) & (lost[every] == lost[every - m])]
         for begin in range(0, len(every), _CHUNK):
             k = every[begin : begin + _CHUNK, None]
             past = [r.u[k - np.arange(n), j] for j in range(nu)]

@@ -19,8 +19,8 @@ from asia.models._numerics.training_records import (
     contiguous_splits,
     cut_windows,
     mean_square,
-    output_groups,
     past_length,
+    regress_outputs,
 )
 
 # Linear model with the past window as state, fitted over the windows' whole horizon.
@@ -130,14 +130,14 @@ def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowP
         x = x @ s + u @ from_u + y @ from_y
     phi = np.concatenate(regressors)
     target = np.swapaxes(windows.y, 0, 1).reshape(len(phi), -1)
-    weight = np.ones_like(windows.y) if windows.weight is None else windows.weight
+    weight = np.swapaxes(windows.weight, 0, 1).reshape(target.shape)
     rest = held(lags)
-    theta = rest.copy()
-    for rows, outputs in output_groups(np.swapaxes(weight, 0, 1).reshape(target.shape)):
-        z, apart = phi[rows], target[rows][:, outputs] - phi[rows] @ rest[:, outputs]
+
+    def solve(z: Array, apart: Array) -> Array:
         gram = z.T @ z + ridge * len(z) * np.eye(z.shape[1])
-        theta[:, outputs] += np.linalg.solve(gram, z.T @ apart)
-    return WindowPredictor(lags, theta)
+        return np.linalg.solve(gram, z.T @ apart)
+
+    return WindowPredictor(lags, rest + regress_outputs(phi, target - phi @ rest, weight, solve))
 
 
 def held(lags: WindowLags) -> Array:
@@ -153,9 +153,7 @@ def refined(
 ) -> WindowPredictor:
     """Refine by Levenberg-Marquardt on the mean squared simulation error over the windows' horizon,
     plus `ridge` times the squared distance from `held`."""
-    rest, samples = held(start.lags), windows.y.size
-    if windows.weight is not None:
-        samples = max(float(windows.weight.sum()), 1.0)
+    rest, samples = held(start.lags), max(float(windows.weight.sum()), 1.0)
 
     def objective(model: WindowPredictor) -> float:
         return model.error(windows) + ridge * float(((model.theta - rest) ** 2).sum())
@@ -194,7 +192,7 @@ def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[
     """Compute J' J (P, P) and J' e (P,) without storing a Jacobian."""
     # The cost of each way is that of its largest products: by lags samples^2, by steps samples
     # ny^3.
-    if windows.weight is None and windows.u.shape[1] < 2 * model.lags.ny**3:
+    if windows.weight.all() and windows.u.shape[1] < 2 * model.lags.ny**3:
         return normal_by_lags(model, windows)
     return normal_by_steps(model, windows)
 
@@ -248,10 +246,8 @@ def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Ar
         for j in range(ny):
             moved[:, j, j::ny] += phi
         y = phi @ model.theta
-        rows, error = moved.reshape(-1, size), windows.y[:, k] - y
-        if windows.weight is not None:
-            error = windows.weight[:, k] * error
-            rows = windows.weight[:, k].reshape(-1, 1) * rows
+        error = windows.weight[:, k] * (windows.y[:, k] - y)
+        rows = windows.weight[:, k].reshape(-1, 1) * moved.reshape(-1, size)
         gram += rows.T @ rows
         gradient += rows.T @ error.ravel()
         x = x @ s + u @ from_u + y @ from_y

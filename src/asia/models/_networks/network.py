@@ -33,7 +33,7 @@ from asia.models._numerics.training_records import (
     batch,
     check,
     flat_past,
-    output_groups,
+    regress_outputs,
 )
 from asia.models._steps import mean
 from asia.models.methods import NetworkMethod
@@ -262,14 +262,14 @@ def with_output_layer(
     if not np.isfinite(x).all():
         return params
     x = np.concatenate([x, np.ones((*x.shape[:2], 1))], axis=-1)
-    solution = np.zeros((rows + 1, y.shape[-1]), np.float32)
-    inside = (weight > 0).any(axis=-1)
-    x, y, weight = x[inside], y[inside], weight[inside]
-    for at, outputs in output_groups(weight):
-        z = x[at]
-        ridge = 0.01 * len(z) * np.eye(rows + 1)
+
+    def solve(x: Array, y: Array) -> Array:
+        ridge = 0.01 * len(x) * np.eye(rows + 1)
         ridge[-1, -1] = 1e-6
-        solution[:, outputs] = np.linalg.solve(z.T @ z + ridge, z.T @ y[at][:, outputs])
+        return np.linalg.solve(x.T @ x + ridge, x.T @ y)
+
+    flat = (v.reshape(-1, v.shape[-1]) for v in (x, y, weight))
+    solution = regress_outputs(*flat, solve).astype(np.float32)
     return {**params, "out_w": solution[:-1], "out_b": solution[-1]}
 
 

@@ -142,7 +142,7 @@ def measured_weight(record: Trajectory) -> Array:
     return np.asarray(record.measured, dtype=np.float64)
 
 
-def output_groups(weight: Array) -> list[tuple[Indices | slice, Indices | slice]]:
+def output_groups(weight: Array) -> list[tuple[Indices | slice, Indices]]:
     """Rows of a regression in which an output counts, and the outputs with these same rows.
 
     Args:
@@ -150,11 +150,25 @@ def output_groups(weight: Array) -> list[tuple[Indices | slice, Indices | slice]
     """
     counts = weight > 0
     if counts.all():
-        return [(slice(None), slice(None))]
+        return [(slice(None), np.arange(weight.shape[1]))]
     masks, group = np.unique(counts, axis=1, return_inverse=True)
     return [
         (np.flatnonzero(mask), np.flatnonzero(group.ravel() == i)) for i, mask in enumerate(masks.T)
     ]
+
+
+def regress_outputs(
+    x: Array, y: Array, weight: Array, solve: Callable[[Array, Array], Array]
+) -> Array:
+    """Coefficients (M, ny) of y (N, ny) on x (N, M): `solve` maps the rows (n, M) in which some
+    outputs count, and these outputs (n, k), to their coefficients (M, k)."""
+    found = [
+        (outputs, solve(x[rows], y[rows][:, outputs])) for rows, outputs in output_groups(weight)
+    ]
+    theta = np.zeros((len(found[0][1]), y.shape[1]))
+    for outputs, one in found:
+        theta[:, outputs] = one
+    return theta
 
 
 def flat_past(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
@@ -353,11 +367,11 @@ class HorizonWindows(NamedTuple):
     features: Any  # Past windows, flattened (W, d)
     u: Any  # Inputs after them (W, H, nu)
     y: Any  # Outputs after them (W, H, ny)
-    weight: Any = None  # (W, H, ny), 0 where an output was not measured; None where all count
+    weight: Any  # (W, H, ny), 0 where an output was not measured
 
     def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
         """Apply a function to every array."""
-        return HorizonWindows(*(None if a is None else change(a) for a in self))
+        return HorizonWindows(*map(change, self))
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
@@ -369,16 +383,13 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
     usable = [r for r in records if len(r) - past >= horizon]
     places = [len(r) - past - horizon + 1 for r in usable]
     stride = max(1, -(-sum(places) // max(most, 1)))
-    features, u, y, counts = list[Array](), list[Array](), list[Array](), list[Array]()
+    parts = list[tuple[Array, ...]]()
     for r, count in zip(usable, places, strict=True):
         starts = np.arange((count - 1) % stride // 2, count, stride)
         simulated = rows(past + starts, horizon)
-        features.append(past_windows(r, context)[starts])
-        u.append(r.u[simulated])
-        y.append(r.y[simulated])
-        counts.append(r.counts[simulated])
-    weight = _weight(np.concatenate(counts))
-    return HorizonWindows(np.concatenate(features), np.concatenate(u), np.concatenate(y), weight)
+        signals = (values[simulated] for values in (r.u, r.y, r.counts))
+        parts.append((past_windows(r, context)[starts], *signals))
+    return HorizonWindows(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
@@ -394,19 +405,13 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
         np.stack([features[i][k] for i, k in places]),
         np.stack([segment.u for segment in segments]),
         np.stack([segment.y for segment in segments]),
-        _weight(np.stack([segment.counts for segment in segments])),
+        np.stack([segment.counts for segment in segments]),
     )
 
 
-def mean_square(error: Array, weight: Array | None) -> float:
-    """Mean square of errors (W, H, ny) where weight (W, H, ny) is 1."""
-    if weight is None:
-        return float((error**2).mean())
+def mean_square(error: Array, weight: Array) -> float:
+    """Mean square of errors (..., ny) where weight (..., ny) is 1."""
     return float((weight * error**2).sum()) / max(float(weight.sum()), 1.0)
-
-
-def _weight(counts: Array) -> Array | None:
-    return None if counts.all() else counts
 
 
 def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:

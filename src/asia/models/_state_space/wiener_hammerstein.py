@@ -24,7 +24,7 @@ from asia.models._numerics.training_records import (
     ScaledTrajectory,
     holdout_masks,
     mean_square,
-    output_groups,
+    regress_outputs,
 )
 from asia.models._state_space.structure import Coefficients, StateSpaceStructure
 
@@ -203,24 +203,23 @@ def _shared_start(
     if not np.isfinite(size) or size < 1e-12:
         return None
     one = one._replace(gain=one.gain / size)
-    rows: list[Array] = []
-    responses: list[Array] = []
-    weights: list[Array] = []
+    parts = list[tuple[Array, Array, Array]]()
     for r, middle in zip(records, middles, strict=True):
         v = middle / size
         through = two(np.concatenate([v, template.features(function, v)], axis=1))
         skip = min(_SETTLE, len(v) // 4)
-        rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[skip:])
-        responses.append(r.y[skip : len(v)])
-        weights.append(r.counts[skip : len(v)])
-    x, y, weight = np.concatenate(rows), np.concatenate(responses), np.concatenate(weights)
+        rows = slice(skip, len(v))
+        through = np.concatenate([through, np.ones((len(v), 1))], axis=1)
+        parts.append((through[rows], r.y[rows], r.counts[rows]))
+    x, y, weight = map(np.concatenate, zip(*parts, strict=True))
     if not np.isfinite(x).all():
         return None
-    theta = np.zeros((x.shape[1], y.shape[1]))
-    for at, outputs in output_groups(weight):
-        z = x[at]
-        ridge = 1e-6 * np.diag((z**2).sum(axis=0) + 1e-12)
-        theta[:, outputs] = np.linalg.solve(z.T @ z + ridge, z.T @ y[at][:, outputs])
+
+    def solve(x: Array, y: Array) -> Array:
+        ridge = 1e-6 * np.diag((x**2).sum(axis=0) + 1e-12)
+        return np.linalg.solve(x.T @ x + ridge, x.T @ y)
+
+    theta = regress_outputs(x, y, weight, solve)
     error = mean_square(x @ theta - y, weight)
     # The function is the identity plus a bend: the slope of the whole goes to the second system.
     slope = float(theta[0, 0])
