@@ -394,13 +394,11 @@ def _filtered(record: ScaledTrajectory, weights: Array) -> ScaledTrajectory:
     def through(values: Array) -> Array:
         return np.stack([np.convolve(c, weights)[lags : len(c)] for c in values.T], axis=1)
 
-    def whole(values: Array) -> Array:
-        """Count a sample that only counted ones made."""
-        return np.lib.stride_tricks.sliding_window_view(values, lags + 1, axis=0).min(axis=-1)
-
+    weight = record.weight
     u, y = through(record.u), through(record.y)
-    weight, counts = whole(record.weight), whole(record.counts)
-    return replace(record, u=u, y=y, measured_u=u, weight=weight, counts=counts)
+    return replace(
+        record, u=u, y=y, measured_u=u, weight=weight[lags:], counts=record.counts[lags:]
+    )
 
 
 # Shared parts: minimisation, constants, initial state.

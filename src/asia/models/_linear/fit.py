@@ -40,7 +40,6 @@ from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     contiguous_splits,
-    measured_weight,
     past_length,
     past_windows,
     side_by_side,
@@ -565,32 +564,9 @@ _NEAR = 0.5
 _LONG = 65_536
 
 
-@dataclass(frozen=True)
-class ScaledRecord:
-    """Record in z-scores, the inputs delayed."""
-
-    u: Array  # (T, nu)
-    y: Array  # (T, ny)
-    counts: Array  # (T, ny): 1 where an output was measured, else 0
-
-
-def delayed_records(
-    trajectories: Sequence[Trajectory], scaling: Scaling, delay: int
-) -> list[ScaledRecord]:
-    """Scale and delay records, without the samples whose delayed input was not measured."""
-    return [
-        ScaledRecord(
-            scaling.inputs(t.u)[: len(t) - delay],
-            scaling.outputs(t.y)[delay:],
-            measured_weight(t)[delay:],
-        )
-        for t in trajectories
-    ]
-
-
 def system_estimates(
     system: LinearSystem,
-    records: Sequence[ScaledRecord],
+    records: ScaledData,
     report: Callable[[LinearSystem], Sequence[ParameterEstimate]],
 ) -> ParameterEstimates:
     """Estimate the uncertainty of quantities of a system, whatever the coordinates of its states.
@@ -634,14 +610,12 @@ def system_estimates(
     )
 
 
-def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
+def _errors(system: LinearSystem, record: ScaledTrajectory, x0: Array) -> Array:
     """Simulated minus measured outputs (T, ny)."""
     samples = len(record.u)
     if samples <= _LONG:
         return system.simulate(x0[None], record.u[None])[1][0] - record.y
-    every = np.broadcast_to(np.float64(1.0), record.y.shape)
-    scaled = ScaledTrajectory(record.u, record.y, every, record.u, every)
-    return -LongResponse([scaled], float(record.y.size), system, x0[None]).misfit(0)
+    return -LongResponse([record], float(record.y.size), system, x0[None]).misfit(0)
 
 
 _INTEGRATOR = 1e-6

@@ -162,13 +162,9 @@ def regress_outputs(
 ) -> Array:
     """Coefficients (M, ny) of y (N, ny) on x (N, M): `solve` maps the rows (n, M) in which some
     outputs count, and these outputs (n, k), to their coefficients (M, k)."""
-    found = [
-        (outputs, solve(x[rows], y[rows][:, outputs])) for rows, outputs in output_groups(weight)
-    ]
-    theta = np.zeros((len(found[0][1]), y.shape[1]))
-    for outputs, one in found:
-        theta[:, outputs] = one
-    return theta
+    groups = output_groups(weight)
+    theta = np.concatenate([solve(x[rows], y[rows][:, which]) for rows, which in groups], axis=1)
+    return theta[:, np.argsort(np.concatenate([which for _, which in groups]))]
 
 
 def flat_past(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
@@ -217,8 +213,8 @@ def holdout_records(count: int, fraction: float) -> list[int]:
 def holdout_masks(
     records: ScaledData, fraction: float, blocks: int = 8, shortest: int = 0
 ) -> list[NDArray[np.bool_]]:
-    """Masks (T,) of each record, True where held out: `blocks` segments spread over it, fewer where
-    they would have less than `shortest` samples.
+    """Masks (T, 1) of each record, True where held out: `blocks` segments spread over it, fewer
+    where they would have less than `shortest` samples.
 
     A simulated output depends only on inputs, so a sample whose weight is zero is unseen even
     though the simulation runs through it.
@@ -227,7 +223,7 @@ def holdout_masks(
     for record in records:
         length = len(record)
         period = max(length / blocks, 4.0, min(shortest / fraction, length))
-        phase = np.arange(length) % period
+        phase = np.arange(length)[:, None] % period
         masks.append((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
     return masks
 
@@ -236,10 +232,7 @@ def reweighted(
     records: ScaledData, masks: Sequence[NDArray[np.bool_]], keep: bool
 ) -> list[ScaledTrajectory]:
     """Keep the weight of records only where the mask equals `keep`."""
-    return [
-        replace(r, weight=r.weight * (m == keep)[:, None])
-        for r, m in zip(records, masks, strict=True)
-    ]
+    return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
 
 
 def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:

@@ -510,8 +510,8 @@ def searched(
     # The short records twice: with the weights of the fitted part, and of the part left out.
     masks = holdout_masks(part, _LEFT_OUT, shortest=_SETTLE)
     pairs = list(zip(part, masks, strict=True))
-    kept = [replace(r, weight=r.weight * ~m[:, None] * _behind_start(len(r))) for r, m in pairs]
-    left = [replace(r, weight=r.weight * m[:, None]) for r, m in pairs]
+    kept = [replace(r, weight=r.weight * ~m * _behind_start(len(r))) for r, m in pairs]
+    left = [replace(r, weight=r.weight * m) for r, m in pairs]
 
     def fitted(filters: TwoFilters, delay: int, iterations: int) -> FilterFit:
         limited = replace(method, iterations=min(iterations, method.iterations))
