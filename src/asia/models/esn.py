@@ -235,7 +235,6 @@ def _whole_records(
             continue
         stride = max(1, len(r) * len(records) // _MOST_SAMPLES)
         rows = np.arange(first, len(r), stride)
-        rows = rows[r.counts[rows].any(axis=1)]
         features = _features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0]
         parts.append((features, r.y[rows], r.counts[rows]))
         known = np.isin(rows - past, np.arange(len(r) - past)[at])

@@ -12,7 +12,7 @@ import numpy as np
 
 from asia._progress import tracked
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array
 from asia.models import uncertainty
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import Progress

@@ -23,15 +23,12 @@ def reconstructed(
     of the past window stay unchanged.
     """
     past = past_length(context)
-    each: list[Array] = []
+    each, errors = list[Array](), list[Array]()
     for r in records:
         before_u = r.measured_u[None, past - context.n_past_u : past]
         before_y = r.y[None, past - context.n_past_y : past]
         each.append(simulate(before_u, before_y, r.u[None, past:])[0])
-    errors = [
-        np.where(r.counts[past:] > 0, r.y[past:] - y, np.nan)
-        for r, y in zip(records, each, strict=True)
-    ]
+        errors.append(np.where(r.counts[past:] > 0, r.y[past:] - each[-1], np.nan))
     # Correlation (ny,) of neighbours that were both measured.
     ny = errors[0].shape[1]
     cross, square = np.zeros(ny), np.full(ny, 1e-300)

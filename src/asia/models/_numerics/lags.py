@@ -61,8 +61,7 @@ def regressors(
     """Regressors and targets of a record.
 
     An output counts where it was measured and, where enough rows are left, all lagged outputs too.
-    Rows without any are left out. The first sample is that after the memory of the lags unless
-    `first` is given.
+    The first sample is that after the memory of the lags unless `first` is given.
 
     Returns:
         Regressors (N, outputs * ny + inputs * nu), outputs before inputs and the newest first,
@@ -75,8 +74,6 @@ def regressors(
         seen = (record.counts[rows[:, None] - lagged] > 0).reshape(len(rows), -1)
         whole = known & seen.all(axis=1)[:, None]
         known = np.where(whole.sum(axis=0) > _ENOUGH * len(rows), whole, known)
-    counted = known.any(axis=1)
-    rows, known = rows[counted], known[counted]
     past = record.y[rows[:, None] - lagged].reshape(len(rows), -1)
     back = lags.delay + np.arange(lags.inputs)
     drive = record.u[rows[:, None] - back].reshape(len(rows), -1)

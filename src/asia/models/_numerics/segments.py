@@ -15,6 +15,7 @@ from asia.models._numerics.training_records import (
     contiguous_splits,
     flat_past,
     laid_end_to_end,
+    mean_square,
     past_length,
     rows,
     side_by_side,
@@ -81,9 +82,8 @@ def simulation_error(simulate: ScaledSimulator, data: Stretches) -> float:
     """Weighted mean squared error over samples and channels, infinite where it diverges."""
     with np.errstate(all="ignore"):
         misfit = simulate(data.past_u, data.past_y, data.u) - data.y
-        total = float((data.weight * misfit**2).sum())
-    total /= max(float(data.weight.sum()), 1.0)
-    return total if np.isfinite(total) else float("inf")
+        error = mean_square(misfit, data.weight)
+    return error if np.isfinite(error) else float("inf")
 
 
 def left_out_error(
