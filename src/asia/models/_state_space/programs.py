@@ -37,7 +37,7 @@ class StateSamples(NamedTuple):
     x0: Array  # Initial states (R, n), or starting points of their search unless `known`
     u: Array  # (R, T, nu)
     y: Array  # (R, T, ny)
-    weight: Array  # (R, T), 0 in the padding
+    weight: Array  # (R, T, ny), 0 in the padding
     known: bool  # The initial states are given
 
 
@@ -75,7 +75,7 @@ class SampleChunks(NamedTuple):
 
     u: Any  # (K, c, R, nu)
     y: Any  # (K, c, R, ny)
-    weight: Any  # (K, c, R), scaled so that the sum of squares is a mean
+    weight: Any  # (K, c, R, ny), scaled so that the sum of squares is a mean
     x0: Any  # Initial states (R, n)
     pull: Any  # Ridge (P,) of each parameter towards `origin`
     origin: Any  # (P,)

@@ -138,7 +138,7 @@ def test_a_fit_of_growing_outputs_stays_stable_with_the_stability_term(held: boo
     length = 150
     y = 1.002 ** np.arange(length)[None, :, None]
     samples = StateSamples(
-        np.ones((1, 1)), np.zeros((1, length, 1)), y, np.ones((1, length)), known=False
+        np.ones((1, 1)), np.zeros((1, length, 1)), y, np.ones((1, length, 1)), known=False
     )
     structure = StateSpaceStructure(1, 1, 1, "none", "tanh", 1, 2, None)
     a = np.array([[0.995]])
