@@ -8,6 +8,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array
+from asia.models._arrays import AnyArray
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.fit import Refinement
 from asia.models._linear.system import LinearSystem
@@ -133,7 +134,7 @@ def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowP
     weight = np.swapaxes(windows.weight, 0, 1).reshape(target.shape)
     rest = held(lags)
 
-    def solve(z: Array, apart: Array) -> Array:
+    def solve(z: Array, apart: Array) -> AnyArray:
         gram = z.T @ z + ridge * len(z) * np.eye(z.shape[1])
         return np.linalg.solve(gram, z.T @ apart)
 

@@ -263,13 +263,13 @@ def with_output_layer(
         return params
     x = np.concatenate([x, np.ones((*x.shape[:2], 1))], axis=-1)
 
-    def solve(x: Array, y: Array) -> Array:
+    def solve(x: Array, y: Array) -> AnyArray:
         ridge = 0.01 * len(x) * np.eye(rows + 1)
         ridge[-1, -1] = 1e-6
         return np.linalg.solve(x.T @ x + ridge, x.T @ y)
 
-    flat = (v.reshape(-1, v.shape[-1]) for v in (x, y, weight))
-    solution = regress_outputs(*flat, solve).astype(np.float32)
+    x, y, weight = (v.reshape(-1, v.shape[-1]) for v in (x, y, weight))
+    solution = regress_outputs(x, y, weight, solve).astype(np.float32)
     return {**params, "out_w": solution[:-1], "out_b": solution[-1]}
 
 

@@ -435,7 +435,8 @@ class ResidualProcess:
             e, x = _filtered(*each, lags)
             # Without the part that a change of the columns explains.
             e = e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e
-            white[np.concatenate([t[lags:] for t in cut(times, i)]), i] = e
+            at = np.concatenate([t[lags:] for t in cut(times, i)]).astype(np.intp)
+            white[at, i] = e
             freedom.append(max(len(e) - x.shape[1] / len(filters), 1.0))
         size = np.sqrt(np.multiply.outer(freedom, freedom))
         return ResidualProcess(filters, white.T @ white / size, restricted)

@@ -72,7 +72,7 @@ def regressors(
     known = record.counts[rows] > 0
     if not (known.all() or record.filled):
         seen = (record.counts[rows[:, None] - lagged] > 0).reshape(len(rows), -1)
-        whole = known & seen.all(axis=1)[:, None]
+        whole = known & seen.all(axis=1, keepdims=True)
         known = np.where(whole.sum(axis=0) > _ENOUGH * len(rows), whole, known)
     past = record.y[rows[:, None] - lagged].reshape(len(rows), -1)
     back = lags.delay + np.arange(lags.inputs)

@@ -158,7 +158,7 @@ def output_groups(weight: Array) -> list[tuple[Indices | slice, Indices]]:
 
 
 def regress_outputs(
-    x: Array, y: Array, weight: Array, solve: Callable[[Array, Array], Array]
+    x: Array, y: Array, weight: Array, solve: Callable[[Array, Array], AnyArray]
 ) -> Array:
     """Coefficients (M, ny) of y (N, ny) on x (N, M): `solve` maps the rows (n, M) in which some
     outputs count, and these outputs (n, k), to their coefficients (M, k)."""

@@ -14,7 +14,7 @@ from scipy import signal
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models import linear
-from asia.models._arrays import namespace
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.fit import Refinement, spread_poles
@@ -215,7 +215,7 @@ def _shared_start(
     if not np.isfinite(x).all():
         return None
 
-    def solve(x: Array, y: Array) -> Array:
+    def solve(x: Array, y: Array) -> AnyArray:
         ridge = 1e-6 * np.diag((x**2).sum(axis=0) + 1e-12)
         return np.linalg.solve(x.T @ x + ridge, x.T @ y)
 
