@@ -187,11 +187,10 @@ def train(
     for i in range(model.config.members):
         reservoir = draw(model.config, context.nu, rng)
         if context.horizon is None:
-            start, *data = _whole_records(model.config, reservoir, records, context)
+            start, x, y, weight = _whole_records(model.config, reservoir, records, context)
         else:
-            start, *data = _horizon_segments(model.config, reservoir, records, context, rng)
-        readout = _readout(*data, method)
-        x, y, weight = data
+            start, x, y, weight = _horizon_segments(model.config, reservoir, records, context, rng)
+        readout = _readout(x, y, weight, method)
         context.log(i, float(np.sqrt(mean_square(readout(x) - y, weight))))
         members.append(Member(reservoir, start, readout, context.horizon))
     return replace(model, fitted=FittedReservoirs(tuple(members), scaling))

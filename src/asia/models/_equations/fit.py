@@ -182,10 +182,7 @@ class _Fits:
         if self.choice is None:
             return starts, found
         structure, segments = self.structure, self.segments
-        mask, time = segments.counts, structure.sampling_time
-        if structure.measured:
-            # The first error is zero, since the simulation starts at the first measurement.
-            mask = mask * (np.arange(mask.shape[1]) > 0)[:, None]
+        mask, time = segments.noisy, structure.sampling_time
         for _ in range(NOISE_ROUNDS):
             if not np.isfinite(found.cost).any():
                 break

@@ -50,10 +50,8 @@ class Around:
             )
         fitted, x0, whiten = self.fitted, self.fitted.x0, None
         if fitted.noise is not None:
-            mask = segments.counts
-            if structure.measured:
-                mask = mask * (np.arange(mask.shape[1]) > 0)[:, None]
-            whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
+            time, mask = structure.sampling_time, segments.noisy
+            whiten = ErrorWeighting.of(fitted.noise, time, mask, fitted.huber)
         error = SimulationError(
             structure,
             segments,

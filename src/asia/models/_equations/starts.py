@@ -42,6 +42,7 @@ class RecordSegments(NamedTuple):
     y: Array  # (S, T, ny)
     mask: Array  # (S, T), 0 in the padding
     counts: Array  # (S, T, ny), 0 in the padding and where an output was not measured
+    noisy: Array  # (S, T, ny), `counts`, 0 too at the measurement that a simulation starts at
 
 
 class Starts(NamedTuple):
@@ -83,7 +84,8 @@ def cut_segments(
         # Hold the first known input, as in simulation, where the last past input is unknown.
         u[:, 0] = u[:, 1]
     counts = side_by_side([measured_weight(t) for t in cuts])
-    return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts)
+    noisy = counts * (np.arange(counts.shape[1]) >= structure.measured)[:, None]
+    return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts, noisy)
 
 
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:

@@ -143,11 +143,8 @@ def measured_weight(record: Trajectory) -> Array:
 
 
 def output_groups(weight: Array) -> list[tuple[Indices | slice, Indices]]:
-    """Rows of a regression in which an output counts, and the outputs with these same rows.
-
-    Args:
-        weight: (N, ny), 0 where an output does not count
-    """
+    """Rows of a regression in which an output counts, by weight (N, ny), and the outputs with these
+    same rows."""
     counts = weight > 0
     if counts.all():
         return [(slice(None), np.arange(weight.shape[1]))]
@@ -361,10 +358,6 @@ class HorizonWindows(NamedTuple):
     u: Any  # Inputs after them (W, H, nu)
     y: Any  # Outputs after them (W, H, ny)
     weight: Any  # (W, H, ny), 0 where an output was not measured
-
-    def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
-        """Apply a function to every array."""
-        return HorizonWindows(*map(change, self))
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
