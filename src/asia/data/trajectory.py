@@ -94,7 +94,8 @@ class Trajectory:
     """One contiguous record.
 
     NaN in `y` is an output that was not measured: there `missing` is True, and `y` has the straight
-    line between the measured neighbours, the nearest one at the ends.
+    line between the measured neighbours, the nearest one at the ends. A value given where `missing`
+    is True is replaced by that line.
 
     Attributes:
         u: (T, nu) inputs in physical units, float64, read-only
@@ -120,15 +121,16 @@ class Trajectory:
         object.__setattr__(self, "u", _frozen(self.u, f"inputs of record '{self.name}'"))
         object.__setattr__(self, "y", _frozen(self.y, what, gaps=True))
         found = np.isnan(self.y)
-        if found.any():
-            never = found.all(axis=0)
-            if never.any():
+        if found.any() or self.missing is not None:
+            missing = found if self.missing is None else found | self.missing
+            never = missing.all(axis=0)
+            if found[:, never].any():
                 raise UserError(
                     f"{what}: output {int(np.argmax(never)) + 1} was never measured; leave the "
                     "output or the record out"
                 )
-            missing = found if self.missing is None else found | self.missing
-            object.__setattr__(self, "y", _frozen(filled(self.y), what))
+            y = np.where(never, self.y, filled(np.where(missing, np.nan, self.y)))
+            object.__setattr__(self, "y", _frozen(y, what))
             object.__setattr__(self, "missing", missing)
         if self.missing is not None:
             missing = np.array(self.missing, dtype=np.bool_)
@@ -150,7 +152,10 @@ class Trajectory:
         missing = None if self.missing is None else self.missing[part]
         reference = None if self.reference is None else self.reference[part]
         u, y = self.u[part], self.y[part]
-        return Trajectory(u, y, self.sampling_time, self.name, missing, reference)
+        found = Trajectory(u, y, self.sampling_time, self.name, missing, reference)
+        # Gaps keep the line to neighbours outside the part.
+        object.__setattr__(found, "y", _frozen(y, f"outputs of record '{self.name}'"))
+        return found
 
     @property
     def measured(self) -> Mask:

@@ -30,6 +30,7 @@ from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     past_length,
+    regress_outputs,
     shortened,
 )
 from asia.models._steps import WrappedModel
@@ -86,13 +87,15 @@ def products(z: AnyArray, terms: Terms) -> AnyArray:
 
 def equations(
     records: ScaledData, lags: Lags, terms: Terms, most: int = 60_000_000
-) -> tuple[Array, Array]:
-    """Regression matrix (N, M) and responses (N, ny) of all records; evenly spread rows of it if it
-    has more than `most` numbers."""
+) -> tuple[Array, Array, Array]:
+    """Regression matrix (N, M), responses (N, ny) and their weight of all records; evenly spread
+    rows if the matrix has more than `most` numbers."""
     stride = max(1, -(-sum(len(r) for r in records) * len(terms) // most))
-    pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]
-    z = np.concatenate([x[::stride] for x, _ in pairs])
-    return products(z, terms), np.concatenate([y[::stride] for _, y in pairs])
+    parts = [regressors(r, lags) for r in records if len(r) > lags.memory]
+    z, y, weight = (
+        np.concatenate([v[::stride] for v in each]) for each in zip(*parts, strict=True)
+    )
+    return products(z, terms), y, weight
 
 
 def solve(gram: Array, cross: Array, ridge: float) -> Array:
@@ -191,14 +194,14 @@ def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[A
         change *= (y == free_y)[..., None]
         past = np.concatenate([y, past], axis=1)[:, : past.shape[1]]
         sensitivity = np.concatenate([change, sensitivity], axis=1)[:, : past.shape[1]]
-        jacobian.append(change * data.weight[:, k, None, None])
-        misfit.append((y - data.y[:, k]) * data.weight[:, k, None])
+        jacobian.append(change * data.weight[:, k, :, None])
+        misfit.append((y - data.y[:, k]) * data.weight[:, k])
         if len(jacobian) == block or k + 1 == data.u.shape[1]:
             stacked = np.concatenate(jacobian).reshape(-1, len(rows))
             normal += stacked.T @ stacked
             gradient += stacked.T @ np.concatenate(misfit).ravel()
             jacobian, misfit = [], []
-    total = max(float(data.weight.sum()) * ny, 1.0)
+    total = max(float(data.weight.sum()), 1.0)
     return normal / total, gradient / total
 
 
@@ -286,8 +289,8 @@ def linear_run(
     times. Its coefficients are polynomials of degree `scheduling` in the newest scheduling
     signals."""
     terms = _linear_terms(lags, context, scheduling)
-    x, y = equations(records, lags, terms)
-    theta = solve(x.T @ x, x.T @ y, ridge)
+    rows = equations(records, lags, terms)
+    theta = regress_outputs(*rows, lambda x, y: solve(x.T @ x, x.T @ y, ridge))
     model = Polynomial(terms, theta, np.ones(theta.shape, bool))
     return PolynomialRun(
         model, fit_history(records, lags, context), OutputRange.of(records, margin)

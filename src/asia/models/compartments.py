@@ -20,7 +20,7 @@ from asia.models import greybox
 from asia.models._config import check_at_least, demand
 from asia.models._equations.config import Sensor
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._numerics.training_records import check
+from asia.models._numerics.training_records import check, measured_weight, regress_outputs
 from asia.models._steps import TrainableModel
 from asia.problem.physics import Bounds, ParameterRange, Physics
 
@@ -177,17 +177,17 @@ def _effects(trajectories: Sequence[Trajectory]) -> Array:
     """
     total = np.zeros((trajectories[0].u.shape[1], trajectories[0].y.shape[1]))
     for ahead in _LOOK_AHEAD:
-        rows, changes = list[Array](), list[Array]()
+        parts = list[tuple[Array, Array, Array]]()
         for t in trajectories:
             if len(t.y) <= ahead:
                 continue
             sums = np.cumsum(np.concatenate([np.zeros((1, t.u.shape[1])), t.u]), axis=0)
             means = (sums[ahead:-1] - sums[: -1 - ahead]) / ahead
-            known = (t.measured[ahead:] & t.measured[:-ahead]).all(axis=1)
+            weight = measured_weight(t)[ahead:] * measured_weight(t)[:-ahead]
             row = np.concatenate([means, t.y[:-ahead], np.ones((len(means), 1))], axis=1)
-            rows.append(row[known])
-            changes.append((t.y[ahead:] - t.y[:-ahead])[known])
-        if rows:
-            theta = np.linalg.lstsq(np.concatenate(rows), np.concatenate(changes), rcond=None)[0]
+            parts.append((row, t.y[ahead:] - t.y[:-ahead], weight))
+        if parts:
+            x, y, weight = map(np.concatenate, zip(*parts, strict=True))
+            theta = regress_outputs(x, y, weight, lambda x, y: np.linalg.lstsq(x, y)[0])
             total += np.sign(theta[: len(total)])
     return np.where(total < 0, -1.0, 1.0)

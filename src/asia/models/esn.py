@@ -19,15 +19,17 @@ from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_at_least, demand
-from asia.models._numerics.encoder import Encoder, fit_encoder
+from asia.models._numerics.encoder import Encoder, affine, fit_encoder
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import segments
 from asia.models._numerics.training_records import (
     ScaledData,
     check,
     flat_past,
+    mean_square,
     past_length,
     past_windows,
+    regress_outputs,
     scaled,
     window_rows,
 )
@@ -185,14 +187,11 @@ def train(
     for i in range(model.config.members):
         reservoir = draw(model.config, context.nu, rng)
         if context.horizon is None:
-            start, features, responses = _whole_records(model.config, reservoir, records, context)
+            start, x, y, weight = _whole_records(model.config, reservoir, records, context)
         else:
-            start, features, responses = _horizon_segments(
-                model.config, reservoir, records, context, rng
-            )
-        readout = _readout(features, responses, method)
-        x, y = np.concatenate(features), np.concatenate(responses)
-        context.log(i, float(np.sqrt(((readout(x) - y) ** 2).mean())))
+            start, x, y, weight = _horizon_segments(model.config, reservoir, records, context, rng)
+        readout = _readout(x, y, weight, method)
+        context.log(i, float(np.sqrt(mean_square(readout(x) - y, weight))))
         members.append(Member(reservoir, start, readout, context.horizon))
     return replace(model, fitted=FittedReservoirs(tuple(members), scaling))
 
@@ -221,12 +220,11 @@ def _features(states: Array, u: Array, past: Array, span: int | None) -> Array:
 
 def _whole_records(
     config: Config, reservoir: Reservoir, records: ScaledData, context: Context
-) -> tuple[Encoder, list[Array], list[Array]]:
+) -> tuple[Encoder, Array, Array, Array]:
     """States of whole records from an empty reservoir; no less than a quarter of each record is
     used."""
     past = past_length(context)
-    features: list[Array] = []
-    responses: list[Array] = []
+    parts = list[tuple[Array, Array, Array]]()
     before: list[Array] = []
     seen: list[Array] = []
     for r, at in zip(records, window_rows(records, context), strict=True):
@@ -236,13 +234,13 @@ def _whole_records(
             continue
         stride = max(1, len(r) * len(records) // _MOST_SAMPLES)
         rows = np.arange(first, len(r), stride)
-        rows = rows[r.counts[rows] > 0]
-        features.append(_features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0])
-        responses.append(r.y[rows])
+        features = _features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0]
+        parts.append((features, r.y[rows], r.counts[rows]))
         known = np.isin(rows - past, np.arange(len(r) - past)[at])
         before.append(states[rows[known] - 1])
         seen.append(past_windows(r, context)[rows[known] - past])
-    return fit_encoder(seen, before), features, responses
+    x, y, weight = map(np.concatenate, zip(*parts, strict=True))
+    return fit_encoder(seen, before), x, y, weight
 
 
 def _horizon_segments(
@@ -251,7 +249,7 @@ def _horizon_segments(
     records: ScaledData,
     context: Context,
     rng: np.random.Generator,
-) -> tuple[Encoder, list[Array], list[Array]]:
+) -> tuple[Encoder, Array, Array, Array]:
     """Segments of the problem's horizon, whose states start from a random layer."""
     data = segments(records, context, _MOST_SAMPLES)
     assert data is not None  # check() has seen a record longer than the past window
@@ -261,16 +259,21 @@ def _horizon_segments(
     bias = config.bias * rng.uniform(-1, 1, n)
     start = Encoder(np.zeros((size, n)), np.zeros(n), inner, bias, np.eye(n))
     features = _features(reservoir.run(start(past), data.u), data.u, past, context.horizon)
-    counts = data.weight > 0
-    return start, [features[counts]], [data.y[counts]]
+    x, y, weight = (v.reshape(-1, v.shape[-1]) for v in (features, data.y, data.weight))
+    return start, x, y, weight
 
 
-def _readout(features: list[Array], responses: list[Array], method: LeastSquares) -> Encoder:
-    if method.ridge is None:
-        return fit_encoder(features, responses)
-    x, y = np.concatenate(features), np.concatenate(responses)
-    center, mean = x.mean(axis=0), y.mean(axis=0)
-    gram = (x - center).T @ (x - center) + method.ridge * len(x) * np.eye(x.shape[1])
-    weights = np.linalg.lstsq(gram, (x - center).T @ (y - mean), rcond=None)[0]
-    nothing = np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((0, y.shape[1]))
-    return Encoder(weights, mean - center @ weights, *nothing)
+def _readout(x: Array, y: Array, weight: Array, method: LeastSquares) -> Encoder:
+    """Map from features (N, d) to outputs (N, ny), each fitted where its weight counts it."""
+
+    def solve(x: Array, y: Array) -> Array:
+        if method.ridge is None:
+            one = fit_encoder([x], [y])
+            return np.vstack([one.weights, one.bias])
+        center, mean = x.mean(axis=0), y.mean(axis=0)
+        gram = (x - center).T @ (x - center) + method.ridge * len(x) * np.eye(x.shape[1])
+        weights = np.linalg.lstsq(gram, (x - center).T @ (y - mean), rcond=None)[0]
+        return np.vstack([weights, mean - center @ weights])
+
+    theta = regress_outputs(x, y, weight, solve)
+    return affine(theta[:-1], theta[-1])

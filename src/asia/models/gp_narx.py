@@ -152,7 +152,7 @@ def _fit(
     log: Progress,
 ) -> FreeRun:
     pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]
-    z, y = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+    z, y, weight = (np.concatenate(each) for each in zip(*pairs, strict=True))
     ny = context.ny
     if config.mean == "hold":
         mean = np.zeros((1 + z.shape[1], ny))
@@ -161,11 +161,12 @@ def _fit(
         # The products of degree one are the constant and each regressor, in order.
         mean = linear_run(records, lags, context, 1e-6, config.margin).one_step.theta
     left = y - mean[0] - z @ mean[1:]
-    rows = spread(len(z), config.points)
-    few = spread(len(z), min(config.points, method.points))
     processes: list[OutputProcess] = []
     for i in range(ny):
-        size = float(left[:, i].std()) or 1.0
+        known = np.flatnonzero(weight[:, i] > 0)
+        rows = known[spread(len(known), config.points)]
+        few = known[spread(len(known), min(config.points, method.points))]
+        size = float(left[known, i].std()) or 1.0
         theta, evidence = _hyper(z[few], left[few, i] / size, method)
         log(i, evidence)
         scaled, signal, _, factor = _covariance(z[rows], theta)

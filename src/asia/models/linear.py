@@ -27,7 +27,6 @@ from asia.models._linear.closed_loop import Choices, LoopMethod, fit_in_loop
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
-    delayed_records,
     drift_shift,
     encoder_of,
     fit,
@@ -262,7 +261,9 @@ class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
             for i, y in enumerate(context.outputs)
             for j, u in enumerate(context.inputs)
         }
-        records = delayed_records(trajectories, f.scaling, f.delay)
+        # Without the samples whose delayed input was not measured.
+        every = scaled(trajectories, f.scaling)
+        records = [r.with_delay(f.delay).part(f.delay, len(r)) for r in every]
 
         def report(system: LinearSystem) -> list[ParameterEstimate]:
             found = invariants(system, f.scaling).items()

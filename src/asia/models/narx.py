@@ -24,11 +24,11 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models._config import check_at_least
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._noise.model import refuse_noise
-from asia.models._numerics.gaps import has_gaps, reconstructed
+from asia.models._numerics.gaps import reconstructed
 from asia.models._numerics.lags import Lags, OutputRange, fit_history
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import left_out_error, segments, simulation_error
-from asia.models._numerics.training_records import ScaledData, check, scaled
+from asia.models._numerics.training_records import ScaledData, check, output_groups, scaled
 from asia.models._one_step import (
     RIDGES,
     FreeRunModel,
@@ -104,8 +104,8 @@ def train(
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
     run, losses = _fitted(records, context, c, method)
-    if has_gaps(trajectories):
-        records = reconstructed(records, trajectories, run, context)
+    if any((r.counts == 0).any() for r in records):
+        records = reconstructed(records, run, context)
         run, losses = _fitted(records, context, c, method, gaps=True)
     for i, loss in enumerate(losses):
         context.log(i, loss)
@@ -225,18 +225,24 @@ def _runs(
     while degree > 1 and comb(size + degree, degree) > _MOST_PRODUCTS:
         degree -= 1
     terms = all_terms(size, degree)
-    x, y = equations(records, lags, terms)
-    gram, cross = x.T @ x, x.T @ y
-    chosen = [error_reduction_order(gram, cross[:, i], max(counts)) for i in range(cross.shape[1])]
+    chosen = list[tuple[int, Array, Array, list[int]]]()
+    x, y, weight = equations(records, lags, terms)
+    for at, outputs in output_groups(weight):
+        z = x[at]
+        gram, cross = z.T @ z, z.T @ y[at]
+        for i in outputs.tolist():
+            order = error_reduction_order(gram, cross[:, i], max(counts))
+            chosen.append((i, gram, cross[:, i : i + 1], order))
     history, limits = fit_history(records, lags, context), OutputRange.of(records, config.margin)
     found: list[PolynomialRun] = []
     for count in counts:
         for ridge in ridges:
-            theta, used = np.zeros(cross.shape), np.zeros(cross.shape, bool)
-            for i, order in enumerate(chosen):
+            theta = np.zeros((len(terms), context.ny))
+            used = np.zeros(theta.shape, bool)
+            for i, gram, side, order in chosen:
                 kept = order[:count]
                 part = gram[np.ix_(kept, kept)]
-                theta[kept, i : i + 1] = solve(part, cross[kept, i : i + 1], ridge)
+                theta[kept, i : i + 1] = solve(part, side[kept], ridge)
                 used[kept, i] = True
             rows = used.any(axis=1)
             model = Polynomial(terms[rows], theta[rows], used[rows])

@@ -32,6 +32,7 @@ from asia.data.trajectory import Array, Signal, Trajectory
 from asia.models import linear, neural_ss, uncertainty
 from asia.models._config import check_choice
 from asia.models._least_squares import LevenbergMarquardt
+from asia.models._numerics.training_records import measured_weight
 from asia.models._steps import FittedModel
 from asia.problem.plant import Plant, Unknown
 
@@ -166,12 +167,11 @@ class Simulator:
         lengths = [record.y.shape for record in trajectories]
         residuals = [e.reshape(s) for e, s in zip(error.errors(theta), lengths, strict=True)]
         slopes = [j.reshape(*s, -1) for j, s in zip(parts, lengths, strict=True)]
-        masks = [record.measured.all(axis=1) for record in trajectories]
         covariance = uncertainty.sandwich(
             residuals,
             [j[..., :count] for j in slopes],
             nuisance=[j[..., count:] for j in slopes] if self.plant.initial else None,
-            measured=None if all(m.all() for m in masks) else [m.astype(float) for m in masks],
+            measured=[measured_weight(record) for record in trajectories],
         )
 
         def report(z: Array) -> list[ParameterEstimate]:

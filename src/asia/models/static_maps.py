@@ -339,7 +339,7 @@ def _fitted(
         late = mapped(theta)
         best = solve_linear_part(late, at.system.a, at.system.c)
         parts = [
-            (r.weight[:, None] * (r.y - best.system.simulate(x0[None], r.u[None])[1][0])).ravel()
+            (r.weight * (r.y - best.system.simulate(x0[None], r.u[None])[1][0])).ravel()
             for r, x0 in zip(late, best.x0, strict=True)
         ]
         return np.nan_to_num(np.concatenate(parts), nan=1e3, posinf=1e3, neginf=-1e3)

@@ -81,14 +81,16 @@ def sandwich(
         ridge: R (P, P) where the sum has theta' R theta in addition to the squares.
         nuisance: derivatives (T, ny, Q) by the unknowns of each record, such as its initial state.
         prior: prior knowledge in the same sum.
-        measured: masks (T,) of each record, positive where a sample is in the sum; None: all are.
+        measured: masks (T, ny) of each record, positive where an output is in the sum; None: all.
 
     Raises:
         ValueError: if the measured stretches are too short to show how residuals are correlated.
     """
     if nuisance is None:
         nuisance = [np.zeros((*e.shape, 0)) for e in residuals]
-    stretches = _stretches(residuals, measured)
+    if measured is None:
+        measured = [np.ones(e.shape) for e in residuals]
+    stretches = _stretches(measured)
     slopes = jacobians
     residuals, jacobians, nuisance = (
         _counted(parts, measured) for parts in (residuals, jacobians, nuisance)
@@ -119,9 +121,7 @@ def sandwich(
             lost += float(np.trace(noise.middle(shaped)))
     # Noise absorbed by the fit, if the process does not account for it.
     kept = max(1.0 - lost / squares, 0.05) if squares > 0 else 1.0
-    samples = sum(e.size for e in residuals)
-    if measured is not None:
-        samples = residuals[0].shape[1] * sum(int((mask > 0).sum()) for mask in measured)
+    samples = sum(int((mask > 0).sum()) for mask in measured)
     variance = squares / kept / samples
     rest = 1.0 if noise.restricted else kept
     spread = middle / rest + variance * held + known.weight * known.matrix
@@ -137,7 +137,7 @@ def gradient(
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
     nuisance: Sequence[Array],
-    measured: Sequence[Array] | None = None,
+    measured: Sequence[Array],
 ) -> Array:
     """Half the gradient (P,) of the sum of squares, with the unknowns of each record fitted anew.
 
@@ -228,33 +228,30 @@ def jacobians_of(
     return at, slopes
 
 
-def _counted(parts: Sequence[Array], measured: Sequence[Array] | None) -> Sequence[Array]:
-    """Arrays (T, ...) of the records, 0 at samples that were not measured."""
-    if measured is None:
-        return parts
+def _counted(parts: Sequence[Array], measured: Sequence[Array]) -> Sequence[Array]:
+    """Arrays (T, ny, ...) of the records, 0 where an output was not measured."""
     return [
-        np.where((mask > 0).reshape(-1, *[1] * (part.ndim - 1)), part, 0.0)
+        part
+        if (mask > 0).all()
+        else np.where((mask > 0).reshape(*mask.shape, *[1] * (part.ndim - 2)), part, 0.0)
         for part, mask in zip(parts, measured, strict=True)
     ]
 
 
-def _stretches(
-    residuals: Sequence[Array], measured: Sequence[Array] | None
-) -> list[tuple[slice, ...]]:
-    """Stretches of each record in which every sample was measured, without short ones."""
-    if measured is None:
-        return [(slice(0, len(e)),) for e in residuals]
-    found: list[tuple[slice, ...]] = []
-    for mask in measured:
-        edges = np.flatnonzero(np.diff(np.pad((mask > 0).astype(int), 1))).reshape(-1, 2).tolist()
-        whole = len(edges) == 1  # a short record without a gap counts
-        found.append(tuple(slice(a, b) for a, b in edges if whole or b - a >= _SHORTEST))
-    used = sum(part.stop - part.start for parts in found for part in parts)
-    if 2 * used < sum(int((mask > 0).sum()) for mask in measured):
-        raise ValueError(
-            f"most outputs were measured in stretches of less than {_SHORTEST} samples, too short "
-            "to show how the errors are correlated in time"
-        )
+def _stretches(measured: Sequence[Array]) -> list[list[list[slice]]]:
+    """Stretches of each output of each record in which it was measured, without short ones."""
+    found: list[list[list[slice]]] = [[] for _ in measured]
+    for i in range(measured[0].shape[1]):
+        for own, mask in zip(found, measured, strict=True):
+            edges = np.flatnonzero(np.diff(np.pad((mask[:, i] > 0).astype(int), 1))).reshape(-1, 2)
+            whole = len(edges) == 1  # a short record without a gap counts
+            own.append([slice(a, b) for a, b in edges.tolist() if whole or b - a >= _SHORTEST])
+        used = sum(part.stop - part.start for own in found for part in own[i])
+        if 2 * used < sum(int((mask[:, i] > 0).sum()) for mask in measured):
+            raise ValueError(
+                f"output {i + 1} was measured mostly in stretches of less than {_SHORTEST} "
+                "samples, too short to show how its errors are correlated in time"
+            )
     return found
 
 
@@ -291,22 +288,23 @@ def _misfit(
     jacobians: Sequence[Array],
     nuisance: Sequence[Array],
     noise: ResidualProcess,
-    stretches: Sequence[Sequence[slice]],
+    stretches: Sequence[Sequence[Sequence[slice]]],
     samples: int,
 ) -> float:
     """Root of the sum of squares that lags, products, cubes and bends of the sensitivities
     explain of the residuals; 0 where an F test after whitening finds that noise explains it."""
     used = 0
     kept: list[tuple[Array, Array, Array]] = []
-    spans: list[list[slice]] = []
+    spans: list[list[list[slice]]] = []
     most = _MISFIT_ROWS // residuals[0].shape[1] + 1
     lost = max(len(a) for a in noise.filters) - 1
     shortest = 2 * lost + max(_MISFIT_LAGS)
     for e, jacobian, one, those in zip(residuals, jacobians, nuisance, stretches, strict=True):
-        long = [s for s in those if min(s.stop, most) - s.start > shortest]
-        if used < _MISFIT_ROWS and long:
+        cut = [[slice(s.start, min(s.stop, most)) for s in own] for own in those]
+        long = [[s for s in own if s.stop - s.start > shortest] for own in cut]
+        if used < _MISFIT_ROWS and any(long):
             kept.append((e[:most], jacobian[:most], one[:most]))
-            spans.append([slice(s.start, min(s.stop, most)) for s in long])
+            spans.append(long)
             used += e.size
     if not kept or not jacobians[0].shape[-1]:
         return 0.0
@@ -361,18 +359,19 @@ def _explained(
     nuisance: Sequence[Array],
     groups: Sequence[Sequence[Array]],
     filters: Sequence[Array],
-    stretches: Sequence[Sequence[slice]],
+    stretches: Sequence[Sequence[Sequence[slice]]],
 ) -> tuple[Array, list[Array]]:
     """Filtered residuals (N,) and an orthonormal basis (N, m) of each group in the stretches of
     each record, both without what the parameters and the records' own unknowns explain."""
     lost = max(len(a) for a in filters) - 1
 
-    def white(part: Array, those: Sequence[slice]) -> Array:
-        columns = [
-            np.concatenate([lfilter(a, [1.0], part[s, i], axis=0)[lost:] for s in those])
+    def white(part: Array, those: Sequence[Sequence[slice]]) -> Array:
+        parts = [
+            lfilter(a, [1.0], part[s, i], axis=0)[lost:]
             for i, a in enumerate(filters)
+            for s in those[i]
         ]
-        return np.stack(columns, axis=1)
+        return np.concatenate(parts)[:, None]
 
     def joined(parts: Sequence[Array]) -> Array:
         kept = [white(*one) for one in zip(parts, stretches, strict=True)]

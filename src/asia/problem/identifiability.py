@@ -240,7 +240,7 @@ def _sensitivities(
     step = records[0].sampling_time * interval
     low = np.min([r.u.min(axis=0) for r in records], axis=0)
     high = np.max([r.u.max(axis=0) for r in records], axis=0)
-    y = np.concatenate([r.y[r.measured.all(axis=1)] for r in records])
+    y = np.concatenate([r.measured_y for r in records])
     size = float(np.nanmedian(np.abs(y))) or 1.0
     x = np.empty(count)
     for i, name in enumerate(physics.states):

@@ -201,7 +201,7 @@ def _contract(problem: Problem) -> str:
     if any(record.missing is not None for record in problem.train):
         gaps = (
             "`t.measured` (T, ny) is False where an output was not measured: there `t.y` is a\n"
-            "straight line, and the sample does not count.\n"
+            "straight line, and this output does not count.\n"
         )
     standard = " and ".join(
         words

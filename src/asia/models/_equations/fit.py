@@ -182,10 +182,7 @@ class _Fits:
         if self.choice is None:
             return starts, found
         structure, segments = self.structure, self.segments
-        mask, time = segments.counts, structure.sampling_time
-        if structure.measured:
-            # The first error is zero, since the simulation starts at the first measurement.
-            mask = mask * (np.arange(mask.shape[1]) > 0)
+        mask, time = segments.noisy, structure.sampling_time
         for _ in range(NOISE_ROUNDS):
             if not np.isfinite(found.cost).any():
                 break
@@ -213,11 +210,11 @@ class _Fits:
         rest = np.maximum(1e-3 * np.abs(high), 1e-6 * scales.x_scale)
         span = np.maximum(high - low, rest)
         scales = scales._replace(low=low - 10.0 * span, high=high + 10.0 * span)
-        error = (y - segments.y)[segments.counts > 0]
+        error = np.where(segments.counts > 0, y - segments.y, np.nan).reshape(-1, structure.ny)
         if structure.config.robust is not None:
-            deviation = 1.4826 * np.median(np.abs(error), axis=0)
+            deviation = 1.4826 * np.nanmedian(np.abs(error), axis=0)
         else:
-            deviation = np.sqrt((error**2).mean(axis=0))
+            deviation = np.sqrt(np.nanmean(error**2, axis=0))
         deviation = np.maximum(deviation, 1e-3 * scales.y_scale)
         prior = window_prior(structure, segments, scales, x, deviation)
         history = np.concatenate(self.curve)

@@ -50,10 +50,8 @@ class Around:
             )
         fitted, x0, whiten = self.fitted, self.fitted.x0, None
         if fitted.noise is not None:
-            mask = segments.mask
-            if structure.measured:
-                mask = mask * (np.arange(mask.shape[1]) > 0)
-            whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
+            time, mask = structure.sampling_time, segments.noisy
+            whiten = ErrorWeighting.of(fitted.noise, time, mask, fitted.huber)
         error = SimulationError(
             structure,
             segments,
@@ -68,9 +66,8 @@ class Around:
         lengths = [int(np.flatnonzero(mask > 0)[-1]) + 1 for mask in segments.mask]
         residuals, jacobians, own, masks = (
             [part[:length] for part, length in zip(values, lengths, strict=True)]
-            for values in (e, jacobian, nuisance, segments.mask)
+            for values in (e, jacobian, nuisance, segments.counts)
         )
-        gaps = any((mask <= 0).any() for mask in masks)
         held, known, weight = error.penalties(theta)
         covariance = uncertainty.sandwich(
             residuals,
@@ -78,7 +75,7 @@ class Around:
             held,
             own if nuisance.shape[-1] else None,
             uncertainty.PriorPenalty(known, weight),
-            masks if gaps else None,
+            masks,
         )
         ranges = dict(zip(structure.equations.parameters, structure.ranges, strict=False))
         learned = zip(structure.learned.names, structure.learned.positive, strict=True)

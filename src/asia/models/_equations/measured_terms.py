@@ -74,7 +74,7 @@ def fit_equations(
     every = _WindowErrors(cell, kept, packing, windows, settings)
     few = every
     if rounds > 1 and len(windows.u) >= _MANY:
-        quarter = windows.each(lambda a: a[::4])
+        quarter = windows._make(a[::4] for a in windows)
         few = _WindowErrors(cell, kept, packing, quarter, settings)
     theta, best, best_score = theta0, theta0, float("inf")
     method = replace(method, tolerance=_LEAST_GAIN)
@@ -117,7 +117,7 @@ class _WindowErrors:
         settings: TermPenalties,
     ) -> None:
         self._kept, self._packing, self._threshold = dict(kept), packing, settings.robust
-        windows = windows.each(lambda a: np.asarray(a, np.float32))
+        windows = windows._make(np.asarray(a, np.float32) for a in windows)
         fixed = {"fixed": kept["fixed"]}
         self._program = partial(_errors, cell, packing, fixed, windows)
         self._linearised = partial(_derivatives, cell, packing, fixed, windows)
@@ -158,9 +158,7 @@ def _errors(
 ) -> jax.Array:
     """Errors (N,) at parameters theta (n,)."""
     y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.features, windows.u)
-    error = y - windows.y
-    if windows.weight is not None:
-        error = windows.weight[..., None] * error
+    error = windows.weight * (y - windows.y)
     return error[:, _EVERY - 1 :: _EVERY].ravel()
 
 

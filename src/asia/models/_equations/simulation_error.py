@@ -55,8 +55,8 @@ class SimulationError:
         self._structure, self._segments, self._starts = structure, segments, starts
         self._active, self._simulate, self._whiten = active, simulate, whiten
         self._central = not forward
-        samples = segments.counts.sum() * structure.ny
-        self._weight = (segments.counts / np.sqrt(samples))[..., None]
+        samples = segments.counts.sum()
+        self._weight = segments.counts / np.sqrt(samples)
         ridge = structure.config.ridge
         self._prior_weight = np.sqrt(ridge) if whiten is None else whiten.unit / np.sqrt(samples)
         self._last: tuple[Array, NormalEquations] | None = None

@@ -12,7 +12,7 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._least_squares import Minimum
-from asia.models._numerics.training_records import measured_samples, rows, side_by_side, spread
+from asia.models._numerics.training_records import measured_weight, rows, side_by_side, spread
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
@@ -41,7 +41,8 @@ class RecordSegments(NamedTuple):
     u: Array  # (S, T, nu)
     y: Array  # (S, T, ny)
     mask: Array  # (S, T), 0 in the padding
-    counts: Array  # (S, T), 0 in the padding and where an output was not measured
+    counts: Array  # (S, T, ny), 0 in the padding and where an output was not measured
+    noisy: Array  # (S, T, ny), `counts`, 0 too at the measurement that a simulation starts at
 
 
 class Starts(NamedTuple):
@@ -82,8 +83,9 @@ def cut_segments(
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
         # Hold the first known input, as in simulation, where the last past input is unknown.
         u[:, 0] = u[:, 1]
-    counts = side_by_side([measured_samples(t) for t in cuts])
-    return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts)
+    counts = side_by_side([measured_weight(t) for t in cuts])
+    noisy = counts * (np.arange(counts.shape[1]) >= structure.measured)[:, None]
+    return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts, noisy)
 
 
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:
@@ -170,7 +172,7 @@ def _ranking(segments: RecordSegments, scales: Scales, outputs: Array) -> NDArra
     """Order of the starts from the smallest simulation error to the greatest."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = (outputs - segments.y) / scales.y_scale[:, 0]
-        cost = (error**2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
+        cost = (error**2 * segments.counts).sum(axis=(1, 2, 3))
     return np.argsort(cost, kind="stable")
 
 

@@ -137,7 +137,7 @@ def _direct(
     information criterion."""
     nu, ny = records[0].u.shape[1], records[0].y.shape[1]
     driven = [replace(r, u=np.hstack([r.u, r.y]), measured_u=r.measured_u) for r in records]
-    samples = sum(float((r.weight > 0).sum()) for r in records) * ny
+    samples = sum(float((r.weight > 0).sum()) for r in records)
     start = _predictor_start(records)
     best, least = None, np.inf
     most = max(1, min(choices.max_order, min(len(r) for r in records) // 8))
@@ -482,11 +482,11 @@ def _levelled(plant: Innovations, records: Sequence[ScaledTrajectory]) -> Innova
     for i, r in enumerate(records):
         y_hat = predictor.simulate(np.zeros((1, n)), np.hstack([r.u, r.y])[None])[1][0]
         kept = r.weight > 0
-        response = basis[:, : len(r)][:, kept].transpose(1, 2, 0).reshape(-1, len(a))
+        response = basis[:, : len(r)][:, kept].T
         own = np.zeros((len(response), len(records) * n))
         own[:, i * n : (i + 1) * n] = response[:, :n]
         rows.append(np.hstack([response[:, n:], own]))
-        left.append((r.y - y_hat)[kept].ravel())
+        left.append((r.y - y_hat)[kept])
     matrix, wanted = np.concatenate(rows), np.concatenate(left)
     found = np.linalg.lstsq(matrix, wanted, rcond=1e-8)[0]
     error = float(np.mean((wanted - matrix @ found) ** 2))

@@ -12,7 +12,7 @@ import numpy as np
 
 from asia._progress import tracked
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array
 from asia.models import uncertainty
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import Progress
@@ -40,7 +40,6 @@ from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     contiguous_splits,
-    measured_samples,
     past_length,
     past_windows,
     side_by_side,
@@ -337,7 +336,7 @@ def unseen_errors(
         for kept, left, regression in splits:
             candidate = fit(kept, order, refinement)
             encoder = encoder_of(kept, candidate, context, regression)
-            count = context.ny * sum(float(r.counts[past:].sum()) for r in left)
+            count = sum(float(r.counts[past:].sum()) for r in left)
             error = unseen_error(left, candidate, encoder, context) / max(count, 1.0)
             logs.append(np.log(error + 1e-300))
         errors.append(float(np.exp(0.5 * np.mean(logs))))
@@ -367,7 +366,7 @@ def unseen_error(
     for r in (r for r in records if len(r) > start):
         x0 = encoder(past_windows(r, context)[:1])
         _, y = fitted.system.simulate(x0, r.u[None, start:])
-        total += float((r.counts[start:, None] * (y[0] - r.y[start:]) ** 2).sum())
+        total += float((r.counts[start:] * (y[0] - r.y[start:]) ** 2).sum())
     return total
 
 
@@ -565,32 +564,9 @@ _NEAR = 0.5
 _LONG = 65_536
 
 
-@dataclass(frozen=True)
-class ScaledRecord:
-    """Record in z-scores, the inputs delayed."""
-
-    u: Array  # (T, nu)
-    y: Array  # (T, ny)
-    counts: Array  # (T,): 1 where every output was measured, else 0
-
-
-def delayed_records(
-    trajectories: Sequence[Trajectory], scaling: Scaling, delay: int
-) -> list[ScaledRecord]:
-    """Scale and delay records, without the samples whose delayed input was not measured."""
-    return [
-        ScaledRecord(
-            scaling.inputs(t.u)[: len(t) - delay],
-            scaling.outputs(t.y)[delay:],
-            measured_samples(t)[delay:],
-        )
-        for t in trajectories
-    ]
-
-
 def system_estimates(
     system: LinearSystem,
-    records: Sequence[ScaledRecord],
+    records: ScaledData,
     report: Callable[[LinearSystem], Sequence[ParameterEstimate]],
 ) -> ParameterEstimates:
     """Estimate the uncertainty of quantities of a system, whatever the coordinates of its states.
@@ -616,16 +592,14 @@ def system_estimates(
         responses.append(undisturbed.simulate(np.eye(n), rest)[1].transpose(1, 2, 0))
         forced = system.simulate(np.zeros((1, n)), record.u[None])[1][0]
         here = record.counts > 0
-        flat = responses[-1][here].reshape(-1, n)
-        starts.append(np.linalg.lstsq(flat, (record.y - forced)[here].ravel())[0])
+        starts.append(np.linalg.lstsq(responses[-1][here], (record.y - forced)[here])[0])
 
     def residuals(theta: Array) -> list[Array]:
         other = LinearSystem(*unpacked(theta, shapes))
         return [_errors(other, record, x0) for record, x0 in zip(records, starts, strict=True)]
 
     found, slopes = uncertainty.jacobians_of(residuals, theta)
-    gaps = any((record.counts <= 0).any() for record in records)
-    masks = [record.counts for record in records] if gaps else None
+    masks = [record.counts for record in records]
     covariance = uncertainty.sandwich(found, slopes, nuisance=responses, measured=masks)
     step = -covariance.information @ uncertainty.gradient(found, slopes, responses, masks)
     errors = np.sqrt(np.maximum(np.diagonal(covariance.matrix), 0.0))
@@ -636,14 +610,12 @@ def system_estimates(
     )
 
 
-def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
+def _errors(system: LinearSystem, record: ScaledTrajectory, x0: Array) -> Array:
     """Simulated minus measured outputs (T, ny)."""
     samples = len(record.u)
     if samples <= _LONG:
         return system.simulate(x0[None], record.u[None])[1][0] - record.y
-    every = np.broadcast_to(np.float64(1.0), samples)
-    scaled = ScaledTrajectory(record.u, record.y, every, record.u, every)
-    return -LongResponse([scaled], float(record.y.size), system, x0[None]).misfit(0)
+    return -LongResponse([record], float(record.y.size), system, x0[None]).misfit(0)
 
 
 _INTEGRATOR = 1e-6

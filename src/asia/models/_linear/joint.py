@@ -121,7 +121,7 @@ def _refined(
     found: LinearFit,
     refinement: Refinement,
 ) -> tuple[LinearFit, float]:
-    samples = sum(float((r.weight**2).sum()) for r in records) * records[0].y.shape[1]
+    samples = sum(float((r.weight**2).sum()) for r in records)
 
     def errors(fit: LinearFit) -> list[float]:
         return [max(one.error(fit.system), one.least) for one in responses]

@@ -20,7 +20,7 @@ from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.window_predictor import WindowLags
 from asia.models._numerics.encoder import Encoder
-from asia.models._numerics.training_records import ScaledData
+from asia.models._numerics.training_records import Indices, ScaledData, output_groups
 
 Form: TypeAlias = Literal["response", "equation"]
 
@@ -62,13 +62,15 @@ def fit_regularised(
     if n < 2:
         return None
     lags = WindowLags(n, m, n - 1, m, nu, ny)
-    gram, moment, squares, mean_x, mean_y, count = _products(records, n, m)
-    if count < n + m or not (squares > 0).all():
-        return None
     sizes = [n] * nu + [m] * ny * (m > 0)
-    columns = [_coefficients(gram, moment[:, k], squares[k], count, sizes) for k in range(ny)]
-    theta = np.stack(columns, axis=1)
-    offset = mean_y - mean_x @ theta
+    theta, offset = np.zeros((sum(sizes), ny)), np.zeros(ny)
+    for _, outputs in output_groups(np.concatenate([r.weight for r in records])):
+        gram, moment, squares, mean_x, mean_y, count = _products(records, n, m, outputs)
+        if count < n + m or not (squares > 0).all():
+            return None
+        for k, cross, square in zip(outputs, moment.T, squares, strict=True):
+            theta[:, k] = _coefficients(gram, cross, square, count, sizes)
+        offset[outputs] = mean_y - mean_x @ theta[:, outputs]
     system = _realised(theta, offset, lags, order)
     if system is None:
         return None
@@ -85,30 +87,30 @@ def fit_regularised(
 
 
 def _products(
-    records: ScaledData, n: int, m: int
+    records: ScaledData, n: int, m: int, outputs: Indices
 ) -> tuple[Array, Array, Array, Array, Array, float]:
-    """Products of centred regressors with themselves and with the outputs, squares of the outputs,
-    both means and the number of samples. Regressors: n inputs from the newest on, then m past
-    outputs, signal by signal."""
-    nu, ny = records[0].u.shape[1], records[0].y.shape[1]
-    width = nu * n + ny * m + ny
+    """Products of centred regressors with themselves and with outputs that count at the same
+    samples, squares of the outputs, both means and the number of samples. Regressors: n inputs from
+    the newest on, then m past outputs, signal by signal."""
+    nu, ny, wanted = records[0].u.shape[1], records[0].y.shape[1], len(outputs)
+    width = nu * n + ny * m + wanted
     gram, total, count = np.zeros((width, width)), np.zeros(width), 0.0
     first = max(n - 1, m)
     for r in records:
-        lost = np.concatenate([[0], np.cumsum(r.weight == 0)])
+        lost = np.concatenate([[0], np.cumsum((r.weight == 0).any(axis=1))])
         every = np.arange(first, len(r))
-        every = every[lost[every + 1] == lost[every - m]]
+        every = every[(r.weight[every, outputs[0]] > 0) & (lost[every] == lost[every - m])]
         for begin in range(0, len(every), _CHUNK):
             k = every[begin : begin + _CHUNK, None]
             past = [r.u[k - np.arange(n), j] for j in range(nu)]
             past += [r.y[k - np.arange(1, m + 1), j] for j in range(ny)] if m else []
-            rows = np.concatenate([*past, r.y[k[:, 0]]], axis=1)
+            rows = np.concatenate([*past, r.y[k, outputs]], axis=1)
             gram += rows.T @ rows
             total += rows.sum(axis=0)
             count += len(rows)
     mean = total / max(count, 1.0)
     gram -= count * np.outer(mean, mean)
-    x, y = slice(0, width - ny), slice(width - ny, width)
+    x, y = slice(0, width - wanted), slice(width - wanted, width)
     return gram[x, x], gram[x, y], np.diagonal(gram)[y], mean[x], mean[y], count
 
 

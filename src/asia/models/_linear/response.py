@@ -65,7 +65,7 @@ class LongResponse:
         for states in self.states_of(i):
             rows = slice(first, first + len(states))
             first = rows.stop
-            yield rows, states, record.weight[rows, None] * self._misfit(i, rows, states)
+            yield rows, states, record.weight[rows] * self._misfit(i, rows, states)
 
     def _misfit(self, i: int, rows: slice, states: Array) -> Array:
         record, s = self.records[i], self.system
@@ -142,7 +142,7 @@ class LongResponse:
             parts = [entries[..., signals - u.shape[1] :]]
             parts = [entries[..., :n], *parts, states, u] if poles else [*parts, u]
             full = _joined(parts, free[..., -n:])
-            full *= record.weight[rows, None, None]
+            full *= record.weight[rows, :, None]
             yield full.reshape(full.shape[0] * full.shape[1], -1), residual.ravel()
             carried = powers.values[length - 1] @ (self.system.a @ carried)
             driven = np.tensordot(powers.values[length - 1 :: -1], z, axes=(0, 0))
@@ -184,7 +184,7 @@ class DrivenRecords:
     ) -> None:
         self.records, self.weightings = records, weightings
         self.counts = [-(-len(r) // _ROUNDED) * _ROUNDED for r in records]
-        self.samples = sum(float((r.weight**2).sum()) for r in records) * records[0].y.shape[1]
+        self.samples = sum(float((r.weight**2).sum()) for r in records)
 
     @cached_property
     def spectra(self) -> list[Spectrum]:
@@ -261,7 +261,7 @@ class Response:
                 misfit = self.misfit(i)
                 if self.driven.weightings is not None:
                     misfit = self.driven.weightings[i](misfit[None])[0]
-                found.append((record.weight[:, None] * misfit).ravel())
+                found.append((record.weight * misfit).ravel())
         return np.concatenate(found)
 
     def misfit(self, i: int) -> Array:
@@ -310,5 +310,5 @@ class Response:
         full = _joined(parts, initial)
         if self.driven.weightings is not None:
             full = self.driven.weightings[i].jacobian(self.misfit(i)[None], full[None])[0]
-        full *= record.weight[:, None, None]
+        full *= record.weight[..., None]
         return full.reshape(length * ny, -1)

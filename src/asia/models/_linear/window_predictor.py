@@ -8,6 +8,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array
+from asia.models._arrays import AnyArray
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.fit import Refinement
 from asia.models._linear.system import LinearSystem
@@ -20,6 +21,7 @@ from asia.models._numerics.training_records import (
     cut_windows,
     mean_square,
     past_length,
+    regress_outputs,
 )
 
 # Linear model with the past window as state, fitted over the windows' whole horizon.
@@ -122,20 +124,21 @@ def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowP
     """Least squares on all one-step predictions inside the windows; `ridge` weighs, against the
     mean square of the signals, the distance from `held`."""
     s, from_u, from_y = lags.shift()
-    x, rows = lags.state(windows.features), []
+    x, regressors = lags.state(windows.features), list[Array]()
     for k in range(windows.u.shape[1]):
         u, y = windows.u[:, k], windows.y[:, k]
-        rows.append(_regressors(x, u))
+        regressors.append(_regressors(x, u))
         x = x @ s + u @ from_u + y @ from_y
-    phi = np.concatenate(rows)
+    phi = np.concatenate(regressors)
     target = np.swapaxes(windows.y, 0, 1).reshape(len(phi), -1)
-    if windows.weight is not None:
-        known = windows.weight.T.ravel() > 0
-        phi, target = phi[known], target[known]
-    gram = phi.T @ phi + ridge * len(phi) * np.eye(phi.shape[1])
+    weight = np.swapaxes(windows.weight, 0, 1).reshape(target.shape)
     rest = held(lags)
-    theta = rest + np.linalg.solve(gram, phi.T @ (target - phi @ rest))
-    return WindowPredictor(lags, np.asarray(theta, np.float64))
+
+    def solve(z: Array, apart: Array) -> AnyArray:
+        gram = z.T @ z + ridge * len(z) * np.eye(z.shape[1])
+        return np.linalg.solve(gram, z.T @ apart)
+
+    return WindowPredictor(lags, rest + regress_outputs(phi, target - phi @ rest, weight, solve))
 
 
 def held(lags: WindowLags) -> Array:
@@ -151,9 +154,7 @@ def refined(
 ) -> WindowPredictor:
     """Refine by Levenberg-Marquardt on the mean squared simulation error over the windows' horizon,
     plus `ridge` times the squared distance from `held`."""
-    rest, samples = held(start.lags), windows.y.size
-    if windows.weight is not None:
-        samples = max(float(windows.weight.sum()) * windows.y.shape[-1], 1.0)
+    rest, samples = held(start.lags), max(float(windows.weight.sum()), 1.0)
 
     def objective(model: WindowPredictor) -> float:
         return model.error(windows) + ridge * float(((model.theta - rest) ** 2).sum())
@@ -192,7 +193,7 @@ def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[
     """Compute J' J (P, P) and J' e (P,) without storing a Jacobian."""
     # The cost of each way is that of its largest products: by lags samples^2, by steps samples
     # ny^3.
-    if windows.weight is None and windows.u.shape[1] < 2 * model.lags.ny**3:
+    if windows.weight.all() and windows.u.shape[1] < 2 * model.lags.ny**3:
         return normal_by_lags(model, windows)
     return normal_by_steps(model, windows)
 
@@ -246,10 +247,8 @@ def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Ar
         for j in range(ny):
             moved[:, j, j::ny] += phi
         y = phi @ model.theta
-        rows, error = moved.reshape(-1, size), windows.y[:, k] - y
-        if windows.weight is not None:
-            error = windows.weight[:, k, None] * error
-            rows = np.repeat(windows.weight[:, k], lags.ny)[:, None] * rows
+        error = windows.weight[:, k] * (windows.y[:, k] - y)
+        rows = windows.weight[:, k].reshape(-1, 1) * moved.reshape(-1, size)
         gram += rows.T @ rows
         gradient += rows.T @ error.ravel()
         x = x @ s + u @ from_u + y @ from_y

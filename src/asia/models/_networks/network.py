@@ -28,7 +28,13 @@ from asia.models._networks.structure import (
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import laid, whole
 from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
-from asia.models._numerics.training_records import ScaledData, batch, check, flat_past
+from asia.models._numerics.training_records import (
+    ScaledData,
+    batch,
+    check,
+    flat_past,
+    regress_outputs,
+)
 from asia.models._steps import mean
 from asia.models.methods import NetworkMethod
 
@@ -255,10 +261,15 @@ def with_output_layer(
         return params
     if not np.isfinite(x).all():
         return params
-    x = np.concatenate([x, np.ones((*x.shape[:2], 1))], axis=-1)[weight > 0]
-    ridge = 0.01 * len(x) * np.eye(rows + 1)
-    ridge[-1, -1] = 1e-6
-    solution = np.linalg.solve(x.T @ x + ridge, x.T @ y[weight > 0]).astype(np.float32)
+    x = np.concatenate([x, np.ones((*x.shape[:2], 1))], axis=-1)
+
+    def solve(x: Array, y: Array) -> AnyArray:
+        ridge = 0.01 * len(x) * np.eye(rows + 1)
+        ridge[-1, -1] = 1e-6
+        return np.linalg.solve(x.T @ x + ridge, x.T @ y)
+
+    x, y, weight = (v.reshape(-1, v.shape[-1]) for v in (x, y, weight))
+    solution = regress_outputs(x, y, weight, solve).astype(np.float32)
     return {**params, "out_w": solution[:-1], "out_b": solution[-1]}
 
 

@@ -126,7 +126,7 @@ _SHIFT, _DRAWN = 3, 4
 
 
 class Fed(NamedTuple):
-    """Measured outputs y (B, T, ny) that replace a cell's own where mask (B, T) is 1."""
+    """Measured outputs y (B, T, ny) that replace a cell's own where mask (B, T, ny) is 1."""
 
     y: jax.Array
     mask: jax.Array
@@ -149,7 +149,7 @@ class NoiseWeighting(NamedTuple):
         return cls(single, np.float32(sampling_time), unit, threshold)
 
     def __call__(self, residual: jax.Array, weight: jax.Array) -> jax.Array:
-        """Compute innovations (B, T, ny), where weight (B, T) is positive."""
+        """Compute innovations (B, T, ny), where weight (B, T, ny) is positive."""
         through = innovation_filter(self.noise, self.sampling_time, weight)
         found = innovations(jax.lax.stop_gradient(through), residual)
         return self.unit * (found if self.huber is None else huber_root(found, self.huber))
@@ -168,13 +168,13 @@ def objective(
     Args:
         loss: loss of a number.
         residual: (B, T, ny).
-        weight: (B, T).
+        weight: (B, T, ny).
         washout: samples at the start that do not count.
         horizons: average over h of the loss of the first h samples.
         whiten: compute the loss of innovations.
     """
     length = residual.shape[1]
-    weight = weight * (jnp.arange(length) >= washout)
+    weight = weight * (jnp.arange(length) >= washout)[:, None]
     if whiten is not None:
         residual = whiten(residual, weight)
     if loss == "mae":
@@ -185,8 +185,8 @@ def objective(
         each = small * (2.0 * residual - small)
     else:
         each = residual**2
-    error = (weight[..., None] * each).mean(axis=-1).sum(axis=0)
-    count = weight.sum(axis=0)
+    error = (weight * each).mean(axis=-1).sum(axis=0)
+    count = weight.mean(axis=-1).sum(axis=0)
     ends = jnp.array([length if h is None else min(h, length) for h in horizons or (None,)]) - 1
     return jnp.mean(jnp.cumsum(error)[ends] / jnp.maximum(jnp.cumsum(count)[ends], 1.0))
 
@@ -243,7 +243,8 @@ def forward(
     if program.fed:
         # Probability that a measured output is fed back.
         teacher = numbers.teacher + (numbers.teacher_end - numbers.teacher) * step / numbers.steps
-        mask = jax.random.bernoulli(fed_by, teacher, data.weight.shape) & (data.weight > 0)
+        chosen = jax.random.bernoulli(fed_by, teacher, data.weight.shape[:2])
+        mask = chosen[..., None] & (data.weight > 0)
         fed = Fed(data.y, mask.astype(u.dtype))
     if state is None and isinstance(cell, Augmented):
         state = cell.initial(params, data.window)
@@ -268,7 +269,7 @@ def scan(
         u, given = now
         state, features = cell.step(params, state, u)
         if given is not None and isinstance(cell, OutputFeedback):
-            state = cell.feed(params, state, given.y, given.mask[:, None])
+            state = cell.feed(params, state, given.y, given.mask)
         return state, features
 
     in_time = jax.tree.map(lambda v: jnp.swapaxes(v, 0, 1), (u, fed))

@@ -115,7 +115,7 @@ class OutputFeedback(Protocol):
 
     def feed(self, params: Any, state: Any, y: AnyArray, mask: AnyArray) -> Any:
         """State after a step with its output replaced by y (B, ny), z-scored, of the same sample
-        where mask (B, 1) is 1, and unchanged where it is 0."""
+        where mask (B, ny) is 1, and unchanged where it is 0."""
         ...
 
 

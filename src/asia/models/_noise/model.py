@@ -138,7 +138,7 @@ class InnovationFilter(NamedTuple):
 def innovation_filter(
     noise: ResidualNoise, sampling_time: AnyArray, mask: AnyArray
 ) -> InnovationFilter:
-    """Make the Kalman filter for samples that count where mask (..., T) is positive.
+    """Make the Kalman filter for outputs that count where mask (..., T, ny) is positive.
 
     A sample that does not count leaves the filter to its prediction, so that padding and gaps
     change no other innovation. Deviations must be positive in sum; all fields may have leading
@@ -147,7 +147,7 @@ def innovation_filter(
     xp = namespace(mask, *noise)
     keep = xp.exp(-sampling_time / noise.time)
     slow, white = noise.slow**2, noise.white**2
-    counts = xp.moveaxis(mask, -1, 0)[..., None] > 0
+    counts = xp.moveaxis(mask, -2, 0) > 0
 
     def step(predicted: AnyArray, here: AnyArray) -> tuple[AnyArray, AnyArray]:
         variance = predicted + white
@@ -211,7 +211,7 @@ def estimate_noise(
 
     Args:
         residual: (S, T, ny).
-        mask: (S, T), positive where a residual counts.
+        mask: (S, T, ny), positive where a residual counts.
         sampling_time: in s.
         choice: given and estimated parts.
         floor: least deviation (ny,).
@@ -220,7 +220,7 @@ def estimate_noise(
     length = min(residual.shape[1], 20_000)
     rows = spread(len(residual), max(1, 20_000 // length))
     residual, mask = residual[rows, :length], mask[rows, :length]
-    ny, samples = residual.shape[-1], max(float((mask > 0).sum()), 1.0)
+    ny, samples = residual.shape[-1], np.maximum((mask > 0).sum(axis=(0, 1)), 1.0)
 
     def likelihoods(time: Array, ratio: Array) -> tuple[Array, Array]:
         return _scaled_likelihoods(residual, mask, sampling_time, choice.huber, time, ratio)
@@ -280,7 +280,7 @@ def _scaled_likelihoods(
 
     Args:
         residual: (S, T, ny).
-        mask: (S, T), positive where a residual counts.
+        mask: (S, T, ny), positive where a residual counts.
         sampling_time: in s.
         huber: threshold on the innovations.
         time: time constants (G, ny).
@@ -292,10 +292,10 @@ def _scaled_likelihoods(
     wide = time[:, None], ratio[:, None]
     unit = ResidualNoise(*wide, np.ones_like(wide[0]))
     through = innovation_filter(unit, sampling_time, mask)
-    inside = mask[..., None] > 0
+    inside = mask > 0
     weight = np.where(inside, through.weight, 1.0)
     error = innovations(through, residual)
-    axes, samples = (1, 2), max(float(inside.sum()), 1.0)
+    axes, samples = (1, 2), np.maximum(inside.sum(axis=(0, 1)), 1.0)
     squares = (error**2).sum(axis=axes)
     tiny = np.finfo(float).tiny
     size = np.sqrt(np.maximum(squares / samples, tiny))
@@ -343,8 +343,8 @@ class ErrorWeighting:
     def of(
         cls, noise: ResidualNoise, sampling_time: float, mask: Array, huber: float | None
     ) -> ErrorWeighting:
-        """Make the weighting of errors in the unit of the noise model, where mask (S, T) is
-        positive."""
+        """Make the weighting of errors in the unit of the noise model, where mask (S, T, ny)
+        is positive."""
         unit = float(np.sqrt(noise.variance.mean()))
         return cls(innovation_filter(noise, sampling_time, mask), unit, huber)
 
@@ -401,8 +401,8 @@ class ResidualProcess:
     def of(
         residuals: Sequence[Array],
         jacobians: Sequence[Array],
-        nuisance: Sequence[Array] | None = None,
-        stretches: Sequence[Sequence[slice]] | None = None,
+        nuisance: Sequence[Array],
+        stretches: Sequence[Sequence[Sequence[slice]]],
     ) -> ResidualProcess:
         """Fit the processes to residuals.
 
@@ -410,34 +410,36 @@ class ResidualProcess:
             residuals: (T, ny) of each record.
             jacobians: derivatives (T, ny, P) of each record by all that was fitted to them.
             nuisance: derivatives (T, ny, Q) by the record's own unknowns.
-            stretches: those of each record that are used; None: all of it.
+            stretches: those of each output of each record that are used.
         """
         outputs = range(residuals[0].shape[1])
-        if stretches is None:
-            stretches = [[slice(None)]] * len(residuals)
 
-        def cut(parts: Sequence[Array]) -> list[Array]:
-            return [part[s] for part, own in zip(parts, stretches, strict=True) for s in own]
+        def cut(parts: Sequence[Array], i: int) -> list[Array]:
+            return [part[s] for part, own in zip(parts, stretches, strict=True) for s in own[i]]
 
-        segments = [cut([e[:, i] for e in residuals]) for i in outputs]
+        segments = [cut([e[:, i] for e in residuals], i) for i in outputs]
         filters = tuple(burg(some) for some in segments)
-        own = 0 if nuisance is None else nuisance[0].shape[-1] * len(nuisance)
+        own = nuisance[0].shape[-1] * len(nuisance)
         work = sum(e.size for e in residuals) * (jacobians[0].shape[-1] + own)
         lags = max(len(a) for a in filters) - 1
         restricted = work * lags <= _MOST_WORK and lags <= _MOST_RESTRICTED_LAGS
         columns = [[np.zeros((len(e), 0)) for e in segments[i]] for i in outputs]
         if restricted:
-            columns = [cut(_columns(jacobians, nuisance, i)) for i in outputs]
+            columns = [cut(_columns(jacobians, nuisance, i), i) for i in outputs]
             filters = tuple(map(_restricted, filters, segments, columns))
-        white: list[Array] = []
-        for each in zip(filters, segments, columns, strict=True):
+        lags = min(lags, min(len(e) for some in segments for e in some) - 1)
+        ends = np.cumsum([len(e) for e in residuals])
+        times = np.split(np.arange(ends[-1]), ends[:-1])
+        white, freedom = np.zeros((ends[-1], len(outputs))), list[float]()
+        for i, each in enumerate(zip(filters, segments, columns, strict=True)):
             e, x = _filtered(*each, lags)
             # Without the part that a change of the columns explains.
-            white.append(e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e)
-        rank = columns[0][0].shape[1] / len(filters)
-        samples = np.stack(white, axis=1)
-        freedom = max(len(samples) - rank, 1.0)
-        return ResidualProcess(filters, samples.T @ samples / freedom, restricted)
+            e = e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e
+            at = np.concatenate([t[lags:] for t in cut(times, i)]).astype(np.intp)
+            white[at, i] = e
+            freedom.append(max(len(e) - x.shape[1] / len(filters), 1.0))
+        size = np.sqrt(np.multiply.outer(freedom, freedom))
+        return ResidualProcess(filters, white.T @ white / size, restricted)
 
     def middle(self, jacobian: Array) -> Array:
         """Covariance (P, P) of J'e of one record.
@@ -519,14 +521,10 @@ def _impulse(samples: int) -> Array:
     return np.concatenate([np.ones(1), np.zeros(samples - 1)])
 
 
-def _columns(
-    jacobians: Sequence[Array], nuisance: Sequence[Array] | None, output: int
-) -> list[Array]:
+def _columns(jacobians: Sequence[Array], nuisance: Sequence[Array], output: int) -> list[Array]:
     """Derivatives (T, K) of one output in each record, those by a record's own unknowns in separate
     columns."""
     found = [j[:, output] for j in jacobians]
-    if nuisance is None:
-        return found
     own, count = nuisance[0].shape[-1], len(nuisance)
     wide = [np.zeros((len(part), own * count)) for part in found]
     for k, (part, block) in enumerate(zip(wide, nuisance, strict=True)):

@@ -1,12 +1,11 @@
 """Reconstruction of outputs that were not measured, from a model of the records."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from asia.candidate import Context
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array
 from asia.models._numerics.segments import ScaledSimulator
 from asia.models._numerics.training_records import ScaledData, ScaledTrajectory, past_length
 
@@ -14,33 +13,22 @@ from asia.models._numerics.training_records import ScaledData, ScaledTrajectory,
 _MOST = 0.98
 
 
-def has_gaps(trajectories: Sequence[Trajectory]) -> bool:
-    """Return whether any output was not measured."""
-    return any(t.missing is not None for t in trajectories)
-
-
 def reconstructed(
-    records: ScaledData,
-    trajectories: Sequence[Trajectory],
-    simulate: ScaledSimulator,
-    context: Context,
+    records: ScaledData, simulate: ScaledSimulator, context: Context
 ) -> list[ScaledTrajectory]:
     """Fill the gaps of scaled records with simulated outputs and the expected error of the
-    simulation; `trajectories`, the same records in physical units, know the gaps.
+    simulation.
 
     The error is modelled as a first-order autoregression between the measured neighbours. Samples
     of the past window stay unchanged.
     """
     past = past_length(context)
-    each: list[Array] = []
+    each, errors = list[Array](), list[Array]()
     for r in records:
         before_u = r.measured_u[None, past - context.n_past_u : past]
         before_y = r.y[None, past - context.n_past_y : past]
         each.append(simulate(before_u, before_y, r.u[None, past:])[0])
-    errors = [
-        np.where(t.measured[past:], r.y[past:] - y, np.nan)
-        for t, r, y in zip(trajectories, records, each, strict=True)
-    ]
+        errors.append(np.where(r.counts[past:] > 0, r.y[past:] - each[-1], np.nan))
     # Correlation (ny,) of neighbours that were both measured.
     ny = errors[0].shape[1]
     cross, square = np.zeros(ny), np.full(ny, 1e-300)
@@ -51,11 +39,11 @@ def reconstructed(
         square += 0.5 * (a**2 + b**2).sum(axis=0)
     rho = np.clip(cross / square, 0.0, _MOST)
     found: list[ScaledTrajectory] = []
-    for t, r, y, e in zip(trajectories, records, each, errors, strict=True):
+    for r, y, e in zip(records, each, errors, strict=True):
         filled = r.y.copy()
         columns = [_bridged(one, float(c)) for one, c in zip(e.T, rho, strict=True)]
         guess = y + np.stack(columns, axis=1)
-        filled[past:] = np.where(t.measured[past:], r.y[past:], guess)
+        filled[past:] = np.where(r.counts[past:] > 0, r.y[past:], guess)
         found.append(replace(r, y=filled, filled=True))
     return found
 

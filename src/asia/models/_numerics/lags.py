@@ -57,27 +57,27 @@ def lagged_inputs(u: AnyArray, lags: Lags) -> AnyArray:
 
 def regressors(
     record: ScaledTrajectory, lags: Lags, first: int | None = None
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Regressors and targets of a record.
 
-    Samples that were not measured are left out, and those with such a lag too where enough are
-    left. The first sample is that after the memory of the lags unless `first` is given.
+    An output counts where it was measured and, where enough rows are left, all lagged outputs too.
+    The first sample is that after the memory of the lags unless `first` is given.
 
     Returns:
-        Regressors (N, outputs * ny + inputs * nu), outputs before inputs and the newest first, and
-        targets (N, ny).
+        Regressors (N, outputs * ny + inputs * nu), outputs before inputs and the newest first,
+        targets (N, ny) and their weight (N, ny).
     """
     start = lags.memory if first is None else first
     rows, lagged = np.arange(start, len(record)), np.arange(1, lags.outputs + 1)
     known = record.counts[rows] > 0
     if not (known.all() or record.filled):
-        whole = known & (record.counts[rows[:, None] - lagged] > 0).all(axis=1)
-        known = whole if whole.sum() > _ENOUGH * len(rows) else known
-    rows = rows[known]
+        seen = (record.counts[rows[:, None] - lagged] > 0).reshape(len(rows), -1)
+        whole = known & seen.all(axis=1, keepdims=True)
+        known = np.where(whole.sum(axis=0) > _ENOUGH * len(rows), whole, known)
     past = record.y[rows[:, None] - lagged].reshape(len(rows), -1)
     back = lags.delay + np.arange(lags.inputs)
     drive = record.u[rows[:, None] - back].reshape(len(rows), -1)
-    return np.concatenate([past, drive], axis=1), record.y[rows]
+    return np.concatenate([past, drive], axis=1), record.y[rows], known.astype(np.float64)
 
 
 @dataclass(frozen=True)

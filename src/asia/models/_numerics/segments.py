@@ -15,6 +15,7 @@ from asia.models._numerics.training_records import (
     contiguous_splits,
     flat_past,
     laid_end_to_end,
+    mean_square,
     past_length,
     rows,
     side_by_side,
@@ -40,7 +41,7 @@ class Stretches:
     past_y: Array  # Outputs before each (S, n_past_y, ny)
     u: Array  # (S, H, nu)
     y: Array  # (S, H, ny)
-    weight: Array  # (S, H)
+    weight: Array  # (S, H, ny)
 
     def __len__(self) -> int:
         return len(self.u)
@@ -81,9 +82,8 @@ def simulation_error(simulate: ScaledSimulator, data: Stretches) -> float:
     """Weighted mean squared error over samples and channels, infinite where it diverges."""
     with np.errstate(all="ignore"):
         misfit = simulate(data.past_u, data.past_y, data.u) - data.y
-        total = float((data.weight[..., None] * misfit**2).sum())
-    total /= max(float(data.weight.sum()) * data.y.shape[-1], 1.0)
-    return total if np.isfinite(total) else float("inf")
+        error = mean_square(misfit, data.weight)
+    return error if np.isfinite(error) else float("inf")
 
 
 def left_out_error(
@@ -140,7 +140,7 @@ class Simulations(NamedTuple):
     window: AnyArray  # Past window of each (B, d)
     u: AnyArray  # (B, T, nu)
     y: AnyArray  # Measured outputs (B, T, ny)
-    weight: AnyArray  # (B, T), 0 where a sample does not count
+    weight: AnyArray  # (B, T, ny), 0 where an output does not count
 
 
 class Places(NamedTuple):
@@ -148,7 +148,7 @@ class Places(NamedTuple):
 
     u: AnyArray  # (R, T, nu)
     y: AnyArray  # (R, T, ny)
-    weight: AnyArray  # (R, T)
+    weight: AnyArray  # (R, T, ny)
     past_u: AnyArray  # (R, n_past_u + T, nu), see `PaddedBatch`
     past_y: AnyArray  # (R, n_past_y + T, ny)
     ends: AnyArray  # Number of starts in each record and those before it (R,)
@@ -182,7 +182,7 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     samples = rows(begin, length)
     inside = samples < batch.u.shape[1]
     at = record[:, None], np.minimum(samples, batch.u.shape[1] - 1)
-    weight = batch.weight[at] * inside
+    weight = batch.weight[at] * inside[..., None]
     arrays = batch.windows_at(record, begin), batch.u[at], batch.y[at], weight
     return Simulations(*(np.asarray(a, np.float32) for a in arrays))
 
@@ -221,7 +221,7 @@ def places(batch: PaddedBatch, length: int) -> Places:
 
 def gently(p: Places, length: int, power: float) -> Places:
     """Draw chunks in proportion to their amplitude to the power -`power`."""
-    moved = np.diff(p.y, axis=1) * (p.weight[:, 1:, None] > 0)
+    moved = np.diff(p.y, axis=1) * (p.weight[:, 1:] > 0)
     size = np.sqrt((moved**2).mean(axis=(0, 1)))
     squares = ((moved / np.where(size > 0, size, 1.0)) ** 2).mean(axis=-1)
     total = np.concatenate([np.zeros((len(squares), 1)), np.cumsum(squares, axis=1)], axis=1)

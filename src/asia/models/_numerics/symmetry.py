@@ -48,7 +48,7 @@ class SignalTransformations:
     def turned(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Each record, followed by its transformations."""
         return [
-            replace(t, u=t.u @ turn_u.T, y=t.y @ turn_y.T, missing=_turned(t.missing, turn_y))
+            replace(t, u=t.u @ turn_u.T, y=t.y @ turn_y.T, missing=_turned(~t.measured, turn_y))
             for t in trajectories
             for turn_u, turn_y in self._elements()
         ]
@@ -57,7 +57,14 @@ class SignalTransformations:
         """Each record in z-scores of transformed records, followed by its transformations, which
         keep the z-scores."""
         return [
-            replace(r, u=r.u @ turn_u.T, y=r.y @ turn_y.T, measured_u=r.measured_u @ turn_u.T)
+            replace(
+                r,
+                u=r.u @ turn_u.T,
+                y=r.y @ turn_y.T,
+                measured_u=r.measured_u @ turn_u.T,
+                weight=1.0 - _turned(r.weight == 0, turn_y),
+                counts=1.0 - _turned(r.counts == 0, turn_y),
+            )
             for r in records
             for turn_u, turn_y in self._elements()
         ]
@@ -95,8 +102,8 @@ class SignalTransformations:
         return after, mean(outputs)
 
 
-def _turned(missing: Mask | None, turn: Array) -> Mask | None:
-    return None if missing is None else missing @ (turn.T != 0)
+def _turned(missing: Mask, turn: Array) -> Mask:
+    return missing @ (turn.T != 0)
 
 
 @dataclass(frozen=True)

@@ -65,9 +65,9 @@ class ScaledTrajectory:
 
     u: Array  # (T, nu), as they act
     y: Array  # (T, ny)
-    weight: Array  # (T,), 0 where a sample does not count
+    weight: Array  # (T, ny), 0 where an output does not count
     measured_u: Array  # (T, nu), the inputs as past windows show them, where u is delayed
-    counts: Array  # (T,), 0 where an output was not measured; the `weight` of a whole fit
+    counts: Array  # (T, ny), 0 where an output was not measured; the `weight` of a whole fit
     filled: bool = False  # Outputs that were not measured are those of a model
 
     def __len__(self) -> int:
@@ -126,20 +126,42 @@ def check(trajectories: Sequence[Trajectory], context: Context) -> None:
 
 
 def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledTrajectory]:
-    """Scale all samples of each record to z-scores. A sample counts where every output was
-    measured."""
+    """Scale all samples of each record to z-scores. Each output counts where it was measured."""
     found: list[ScaledTrajectory] = []
     for t in trajectories:
-        u, counts = scaling.inputs(t.u), measured_samples(t)
+        u, counts = scaling.inputs(t.u), measured_weight(t)
         found.append(ScaledTrajectory(u, scaling.outputs(t.y), counts, u, counts))
     return found
 
 
-def measured_samples(record: Trajectory) -> Array:
-    """Mask (T,): 1 where every output was measured, else 0; read-only where all were."""
+def measured_weight(record: Trajectory) -> Array:
+    """Weight (T, ny) of the outputs of a training record in every fit: 1 where measured, 0 in the
+    gaps, where `record.y` has values without influence; read-only where all were measured."""
     if record.missing is None:
-        return np.broadcast_to(np.float64(1.0), len(record))
-    return np.asarray(record.measured.all(axis=1), dtype=np.float64)
+        return np.broadcast_to(np.float64(1.0), record.y.shape)
+    return np.asarray(record.measured, dtype=np.float64)
+
+
+def output_groups(weight: Array) -> list[tuple[Indices | slice, Indices]]:
+    """Rows of a regression in which an output counts, by weight (N, ny), and the outputs with these
+    same rows."""
+    counts = weight > 0
+    if counts.all():
+        return [(slice(None), np.arange(weight.shape[1]))]
+    masks, group = np.unique(counts, axis=1, return_inverse=True)
+    return [
+        (np.flatnonzero(mask), np.flatnonzero(group.ravel() == i)) for i, mask in enumerate(masks.T)
+    ]
+
+
+def regress_outputs(
+    x: Array, y: Array, weight: Array, solve: Callable[[Array, Array], AnyArray]
+) -> Array:
+    """Coefficients (M, ny) of y (N, ny) on x (N, M): `solve` maps the rows (n, M) in which some
+    outputs count, and these outputs (n, k), to their coefficients (M, k)."""
+    groups = output_groups(weight)
+    theta = np.concatenate([solve(x[rows], y[rows][:, which]) for rows, which in groups], axis=1)
+    return theta[:, np.argsort(np.concatenate([which for _, which in groups]))]
 
 
 def flat_past(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
@@ -162,7 +184,7 @@ def window_rows(records: ScaledData, context: Context) -> list[Indices | slice]:
         return [slice(None)] * len(records)
     found: list[Indices | slice] = []
     for r in records:
-        lost = np.concatenate([[0], np.cumsum(r.counts == 0)])
+        lost = np.concatenate([[0], np.cumsum((r.counts == 0).any(axis=1))])
         rows = np.arange(past, len(r))
         found.append(np.flatnonzero(lost[rows] == lost[rows - context.n_past_y]))
     enough = _ENOUGH * sum(max(0, len(r) - past) for r in records)
@@ -188,8 +210,8 @@ def holdout_records(count: int, fraction: float) -> list[int]:
 def holdout_masks(
     records: ScaledData, fraction: float, blocks: int = 8, shortest: int = 0
 ) -> list[NDArray[np.bool_]]:
-    """Masks (T,) of each record, True where held out: `blocks` segments spread over it, fewer where
-    they would have less than `shortest` samples.
+    """Masks (T, 1) of each record, True where held out: `blocks` segments spread over it, fewer
+    where they would have less than `shortest` samples.
 
     A simulated output depends only on inputs, so a sample whose weight is zero is unseen even
     though the simulation runs through it.
@@ -198,7 +220,7 @@ def holdout_masks(
     for record in records:
         length = len(record)
         period = max(length / blocks, 4.0, min(shortest / fraction, length))
-        phase = np.arange(length) % period
+        phase = np.arange(length)[:, None] % period
         masks.append((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
     return masks
 
@@ -256,7 +278,7 @@ class PaddedBatch:
     window: AnyArray  # Past window of each (R, d)
     u: AnyArray  # (R, T, nu)
     y: AnyArray  # (R, T, ny)
-    weight: AnyArray  # (R, T), zero in the padding
+    weight: AnyArray  # (R, T, ny), zero in the padding
     lengths: tuple[int, ...]  # Samples of each, without the padding
     past_u: AnyArray
     """Inputs as past windows show them (R, n_past_u + T, nu): sample k's window begins at k."""
@@ -335,11 +357,7 @@ class HorizonWindows(NamedTuple):
     features: Any  # Past windows, flattened (W, d)
     u: Any  # Inputs after them (W, H, nu)
     y: Any  # Outputs after them (W, H, ny)
-    weight: Any = None  # (W, H), 0 where an output was not measured; None where all samples count
-
-    def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
-        """Apply a function to every array."""
-        return HorizonWindows(*(None if a is None else change(a) for a in self))
+    weight: Any  # (W, H, ny), 0 where an output was not measured
 
 
 def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
@@ -351,16 +369,13 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
     usable = [r for r in records if len(r) - past >= horizon]
     places = [len(r) - past - horizon + 1 for r in usable]
     stride = max(1, -(-sum(places) // max(most, 1)))
-    features, u, y, counts = list[Array](), list[Array](), list[Array](), list[Array]()
+    parts = list[tuple[Array, ...]]()
     for r, count in zip(usable, places, strict=True):
         starts = np.arange((count - 1) % stride // 2, count, stride)
         simulated = rows(past + starts, horizon)
-        features.append(past_windows(r, context)[starts])
-        u.append(r.u[simulated])
-        y.append(r.y[simulated])
-        counts.append(r.counts[simulated])
-    weight = _weight(np.concatenate(counts))
-    return HorizonWindows(np.concatenate(features), np.concatenate(u), np.concatenate(y), weight)
+        signals = (values[simulated] for values in (r.u, r.y, r.counts))
+        parts.append((past_windows(r, context)[starts], *signals))
+    return HorizonWindows(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
@@ -376,20 +391,13 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
         np.stack([features[i][k] for i, k in places]),
         np.stack([segment.u for segment in segments]),
         np.stack([segment.y for segment in segments]),
-        _weight(np.stack([segment.counts for segment in segments])),
+        np.stack([segment.counts for segment in segments]),
     )
 
 
-def mean_square(error: Array, weight: Array | None) -> float:
-    """Mean square of errors (W, H, ny) where weight (W, H) is 1."""
-    if weight is None:
-        return float((error**2).mean())
-    total = max(float(weight.sum()) * error.shape[-1], 1.0)
-    return float((weight[..., None] * error**2).sum()) / total
-
-
-def _weight(counts: Array) -> Array | None:
-    return None if counts.all() else counts
+def mean_square(error: Array, weight: Array) -> float:
+    """Mean square of errors (..., ny) where weight (..., ny) is 1."""
+    return float((weight * error**2).sum()) / max(float(weight.sum()), 1.0)
 
 
 def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:

@@ -65,7 +65,7 @@ class PreparedRecord(NamedTuple):
     residual: Array  # Residual (T, ny) of the linear model
     terms: Array  # Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`
     basis: Array  # Orthonormal basis (T ny, q) of `terms`
-    weight: Array  # (T,)
+    weight: Array  # (T, ny)
 
     def read(self, directions: Array, observed: bool) -> Array:
         """Signals (T, m) in directions (n - integrators + nu, m)."""
@@ -81,7 +81,7 @@ def prepared_records(records: ScaledData, found: LinearFit) -> list[PreparedReco
     for record, x0 in some:
         r = record.part(0, min(each, len(record)))
         states, outputs = (part[0] for part in system.simulate(x0[None], r.u[None]))
-        residual = (r.y - outputs) * r.weight[:, None]
+        residual = (r.y - outputs) * r.weight
         observed = _observed(system, x0, r, float(np.mean(residual**2)))
         terms = _linear_terms(system, r)
         basis = orthonormal(terms)
@@ -107,7 +107,7 @@ def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: 
     states, x = np.empty((len(record), n)), x0
     for k in range(len(record)):
         wrong = record.y[k] - system.c @ x - system.d @ record.u[k] - system.offset
-        x = x + record.weight[k] * (gain @ wrong)
+        x = x + gain @ (record.weight[k] * wrong)
         states[k] = x
         x = system.a @ x + system.b @ record.u[k]
     return states
@@ -140,7 +140,7 @@ def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
     constant = np.tile(np.eye(ny), (length, 1))
     free = system.simulate(np.eye(n), np.zeros((n, length, record.u.shape[1])))[1] - system.offset
     columns = np.hstack([forced, constant, free.transpose(1, 2, 0).reshape(length * ny, n)])
-    return columns * np.repeat(record.weight, ny)[:, None]
+    return columns * record.weight.reshape(-1, 1)
 
 
 def orthonormal(columns: Array) -> Array:
@@ -271,30 +271,29 @@ class RegressorSearch:
         sides = [np.zeros(size) for _ in candidates]
         power, samples = 0.0, 0
         for r in self.records:
-            weight = r.weight[:, None]
             units = [self.structure.units(layer, r.read(d, o)) for d, o, layer in candidates]
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
             power, samples = power + float(rest @ rest), samples + len(rest)
             on_states = state_responses(self.system, np.hstack(units))
-            on_states *= weight[..., None, None]
+            on_states *= r.weight[..., None, None]
             on_states = on_states.reshape(len(rest), -1)
             for i, unit in enumerate(units):
                 # Columns of signals on states, and of the same signals on each of the outputs.
-                columns, signals = on_states[:, i * h * n : (i + 1) * h * n], unit * weight
+                columns = on_states[:, i * h * n : (i + 1) * h * n]
+                signals = [unit * r.weight[:, o, None] for o in range(ny)]
                 known = r.basis.T @ columns
                 side = np.empty((h, n + ny))
                 gram = np.zeros((h, n + ny, h, n + ny))
                 side[:, :n] = (columns.T @ rest).reshape(h, n)
                 gram[:, :n, :, :n] = (columns.T @ columns - known.T @ known).reshape(h, n, h, n)
-                inner = signals.T @ signals
-                direct = [r.basis[o::ny].T @ signals for o in range(ny)]
+                direct = [r.basis[o::ny].T @ signals[o] for o in range(ny)]
                 for o in range(ny):
-                    side[:, n + o] = signals.T @ rest[o::ny]
-                    both = columns[o::ny].T @ signals - known.T @ direct[o]
+                    side[:, n + o] = signals[o].T @ rest[o::ny]
+                    both = columns[o::ny].T @ signals[o] - known.T @ direct[o]
                     gram[:, :n, :, n + o] = both.reshape(h, n, h)
                     gram[:, n + o, :, :n] = both.reshape(h, n, h).transpose(2, 0, 1)
-                    gram[:, n + o, :, n + o] = inner
+                    gram[:, n + o, :, n + o] = signals[o].T @ signals[o]
                     for other in range(ny):
                         gram[:, n + o, :, n + other] -= direct[o].T @ direct[other]
                 grams[i] += gram.reshape(size, size)
@@ -377,7 +376,7 @@ class _Starts:
             units = self.structure.units(layer, signals)
             both = responses(s, units @ theta)
             # Signal i acts only on state or output i.
-            explained = np.einsum("tyii->ty", both) * r.weight[:, None]
+            explained = np.einsum("tyii->ty", both) * r.weight
             rest, start = (r.residual - explained).ravel(), orthonormal(r.terms[:, some:])
             terms = r.terms[:, :some]
             terms = terms - start @ (start.T @ terms)
@@ -405,7 +404,7 @@ class _Starts:
                 u = np.tile(r.u[:, None], (count, 1, 1, 1))
                 y = self.structure.simulate(params, x0, u)[1][:, :, 0]
                 line = self.system.simulate(r.x0[None], r.u[None])[1][0]
-                rest = r.residual - (y - line) * r.weight[:, None]
+                rest = r.residual - (y - line) * r.weight
                 rest = rest.reshape(count, -1)
                 start = orthonormal(r.terms[:, -n:])
                 rest = rest - rest @ start @ start.T
@@ -633,6 +632,6 @@ class _Fits:
 def _fit(
     core: LinearCore, structure: StateSpaceStructure, start: dict[str, Any], now: StateFit
 ) -> _Fit:
-    count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
+    count = sum(float(r.weight.sum()) for r in core.records)
     p = min(float(tree_size(now.params)), 0.9 * count)
     return _Fit(core, structure, start, now, (count + p) / (count - p))

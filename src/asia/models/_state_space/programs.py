@@ -37,7 +37,7 @@ class StateSamples(NamedTuple):
     x0: Array  # Initial states (R, n), or starting points of their search unless `known`
     u: Array  # (R, T, nu)
     y: Array  # (R, T, ny)
-    weight: Array  # (R, T), 0 in the padding
+    weight: Array  # (R, T, ny), 0 in the padding
     known: bool  # The initial states are given
 
 
@@ -75,7 +75,7 @@ class SampleChunks(NamedTuple):
 
     u: Any  # (K, c, R, nu)
     y: Any  # (K, c, R, ny)
-    weight: Any  # (K, c, R), scaled so that the sum of squares is a mean
+    weight: Any  # (K, c, R, ny), scaled so that the sum of squares is a mean
     x0: Any  # Initial states (R, n)
     pull: Any  # Ridge (P,) of each parameter towards `origin`
     origin: Any  # (P,)
@@ -92,14 +92,14 @@ def chunked(
     origin: Array,
     weighting: ErrorWeighting | None,
 ) -> SampleChunks:
-    count, length = samples.weight.shape
+    count, length = samples.weight.shape[:2]
     known = structure.size * (count - 1) * (not samples.known)
     values = count * (structure.size + structure.ny) * (len(origin) - known)
     size = min(_CHUNK_VALUES // values, length)
     if size < length:
         size = max(1, min(_FEWER_VALUES, _CHUNK_VALUES) // values)
     chunks = -(-length // size)
-    total = max(float((samples.weight**2).sum()) * structure.ny, 1.0)
+    total = max(float((samples.weight**2).sum()), 1.0)
 
     def cut(array: Array) -> Array:
         timed = np.swapaxes(array, 0, 1)
@@ -200,14 +200,14 @@ class _Simulation:
             known = values, through.decay, through.gain
             predicted, values = jax.lax.scan(move, predicted, known)
             values = through.weight[..., None] * values
-        return predicted, weight[..., None, None] * values
+        return predicted, weight[..., None] * values
 
     def bent(self, error: jax.Array, part: Any) -> tuple[jax.Array, jax.Array | None]:
         """Transform weighted errors (c, R, ny) so that their square is Huber's loss, with the
         derivatives; without a threshold return them unchanged, and None."""
         if self.data.huber is None:
             return error, None
-        threshold = jnp.maximum(self.data.huber * part[2][..., None], 1e-30)
+        threshold = jnp.maximum(self.data.huber * part[2], 1e-30)
         scaled = error / threshold
         root = huber_root(scaled, 1.0)
         slope = jnp.where(abs(scaled) > 1.0, 1.0 / jnp.maximum(abs(root), 1.0), 1.0)

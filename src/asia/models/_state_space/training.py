@@ -162,16 +162,17 @@ def _guess(
     """State (n,) from which the linear system simulates the first samples of the segment best."""
     n, few = system.order, min(length, max(10, 3 * system.order))
     part = slice(segment.start, segment.start + few)
-    u, y = records[segment.record].u[part], records[segment.record].y[part]
+    record = records[segment.record]
+    u, y, known = record.u[part], record.y[part], record.counts[part].ravel() > 0
     _, forced = system.simulate(np.zeros((1, n)), u[None])
     rows, row = list[Array](), system.c
     for _ in range(len(u)):
         rows.append(row)
         row = row @ system.a
-    seen = np.concatenate(rows)
+    seen = np.concatenate(rows)[known]
     gram = seen.T @ seen
     held = gram + _GUESS_RIDGE * max(float(np.trace(gram)) / n, 1e-12) * np.eye(n)
-    state = solve_or_fit(held, seen.T @ (y - forced[0]).ravel())
+    state = solve_or_fit(held, seen.T @ (y - forced[0]).ravel()[known])
     return np.pad(state, (0, structure.size - n))
 
 

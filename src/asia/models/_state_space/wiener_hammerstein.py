@@ -14,12 +14,18 @@ from scipy import signal
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models import linear
-from asia.models._arrays import namespace
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.fit import Refinement, spread_poles
 from asia.models._linear.system import LinearSystem, unpacked
-from asia.models._numerics.training_records import ScaledData, ScaledTrajectory, holdout_masks
+from asia.models._numerics.training_records import (
+    ScaledData,
+    ScaledTrajectory,
+    holdout_masks,
+    mean_square,
+    regress_outputs,
+)
 from asia.models._state_space.structure import Coefficients, StateSpaceStructure
 
 # Wiener-Hammerstein structure: linear system, static function, linear system.
@@ -197,21 +203,24 @@ def _shared_start(
     if not np.isfinite(size) or size < 1e-12:
         return None
     one = one._replace(gain=one.gain / size)
-    rows: list[Array] = []
-    responses: list[Array] = []
+    parts = list[tuple[Array, Array, Array]]()
     for r, middle in zip(records, middles, strict=True):
         v = middle / size
         through = two(np.concatenate([v, template.features(function, v)], axis=1))
         skip = min(_SETTLE, len(v) // 4)
-        known = np.flatnonzero(r.counts[skip : len(v)] > 0) + skip
-        rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[known])
-        responses.append(r.y[known])
-    x, y = np.concatenate(rows), np.concatenate(responses)
+        rows = slice(skip, len(v))
+        through = np.concatenate([through, np.ones((len(v), 1))], axis=1)
+        parts.append((through[rows], r.y[rows], r.counts[rows]))
+    x, y, weight = map(np.concatenate, zip(*parts, strict=True))
     if not np.isfinite(x).all():
         return None
-    ridge = 1e-6 * np.diag((x**2).sum(axis=0) + 1e-12)
-    theta = np.linalg.solve(x.T @ x + ridge, x.T @ y)
-    error = float(((x @ theta - y) ** 2).mean())
+
+    def solve(x: Array, y: Array) -> AnyArray:
+        ridge = 1e-6 * np.diag((x**2).sum(axis=0) + 1e-12)
+        return np.linalg.solve(x.T @ x + ridge, x.T @ y)
+
+    theta = regress_outputs(x, y, weight, solve)
+    error = mean_square(x @ theta - y, weight)
     # The function is the identity plus a bend: the slope of the whole goes to the second system.
     slope = float(theta[0, 0])
     slope = slope if abs(slope) > 1e-3 else float(np.copysign(1e-3, slope))
@@ -329,7 +338,7 @@ class FilterEquations:
             p, away, total = self._shapes.unpacked(one), one - self._origin, 0.0
             with np.errstate(all="ignore"):
                 for i, record in enumerate(self._records):
-                    error = (simulated(p, record.u[:, 0], i) - record.y[:, 0]) * record.weight
+                    error = (simulated(p, record.u[:, 0], i) - record.y[:, 0]) * record.weight[:, 0]
                     total += float(error @ error)
                 found.append(total / self._total + float(self._pull @ away**2))
         return np.array([found])
@@ -420,7 +429,7 @@ def _linearised(
     carried = np.zeros((shared + n1, n2))
     for start in range(0, len(record), _CHUNK):
         part = slice(start, start + _CHUNK)
-        u, weight = record.u[part, 0], record.weight[part]
+        u, weight = record.u[part, 0], record.weight[part, 0]
         v, x1 = _filtered(p.numerator1, p.denominator1, u, x1)
         by_first, by_x1 = first(u, v, start == 0)
         t = np.tanh(p.slope[:, None] * v + p.shift[:, None])
@@ -575,7 +584,7 @@ def _start(
             v = middle[:, None] / size
             through = two(np.concatenate([v, np.tanh(v * slope + shift)], axis=1))
             skip = min(_SETTLE, len(v) // 4)
-            known = np.flatnonzero(r.counts[skip:] > 0) + skip
+            known = np.flatnonzero(r.counts[skip:, 0] > 0) + skip
             rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[known])
             responses.append(r.y[known, 0])
         x, y = np.concatenate(rows), np.concatenate(responses)
@@ -613,9 +622,9 @@ def _fitted(
 
 
 def _behind_start(length: int) -> Array:
-    """Weights (T,) that are zero at the start of a record."""
+    """Weights (T, 1) that are zero at the start of a record."""
     start = min(_TRANSIENT, int(_TRANSIENT_SHARE * length))
-    return (np.arange(length) >= start).astype(np.float64)
+    return (np.arange(length) >= start).astype(np.float64)[:, None]
 
 
 def _error(one: FilterFit, left: ScaledData) -> float:
@@ -625,8 +634,8 @@ def _error(one: FilterFit, left: ScaledData) -> float:
     with np.errstate(all="ignore"):
         for i, record in enumerate(left):
             late = record.with_delay(one.delay)
-            apart = (simulated(one.filters, late.u[:, 0], i) - late.y[:, 0]) * late.weight
-            squares.append(apart[late.weight > 0.0] ** 2)
+            apart = (simulated(one.filters, late.u[:, 0], i) - late.y[:, 0]) * late.weight[:, 0]
+            squares.append(apart[late.weight[:, 0] > 0.0] ** 2)
     all_of_them = np.concatenate(squares)
     if not len(all_of_them) or not np.isfinite(all_of_them).all():
         return np.inf

@@ -137,7 +137,7 @@ def test_convolution_gives_the_states_of_the_recursion() -> None:
         np.zeros(1),
     )
     records = [
-        ScaledTrajectory(u, np.zeros((len(u), 1)), np.ones(len(u)), u, np.ones(len(u)))
+        ScaledTrajectory(u, np.zeros((len(u), 1)), np.ones((len(u), 1)), u, np.ones((len(u), 1)))
         for u in (rng.standard_normal((length, 2)) for length in (77, 70, 300, 1))
     ]
     x0 = rng.standard_normal((4, 3))
@@ -150,11 +150,11 @@ def test_convolution_gives_the_states_of_the_recursion() -> None:
 def test_refinement_lowers_the_simulation_error_and_ignores_unweighted_samples() -> None:
     data = case(filtered, noise=0.2)
     t = data.training[0]
-    weight = np.ones(len(t))
+    weight = np.ones((len(t), 1))
     weight[100:150] = 0.0
     y = (t.y - t.y.mean()) / t.y.std()
     u = t.u - t.u.mean()
-    record = ScaledTrajectory(u, y, weight, u, np.ones(len(u)))
+    record = ScaledTrajectory(u, y, weight, u, np.ones((len(u), 1)))
     start = solve_linear_part([record], *spread_poles(2, 1))
     better = refine([record], start, Refinement())
     assert better.error < 0.9 * start.error

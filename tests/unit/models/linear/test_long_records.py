@@ -60,8 +60,8 @@ def test_blocks_give_the_normal_equations_of_whole_records(poles: bool) -> None:
     records = list[ScaledTrajectory]()
     for length in (200, 64, 1, 129):
         u, y = rng.standard_normal((2, length, 2))
-        weight = rng.uniform(0.0, 1.0, length)
-        records.append(ScaledTrajectory(u, y, weight, u, np.ones(length)))
+        weight = rng.uniform(0.0, 1.0, (length, 2))
+        records.append(ScaledTrajectory(u, y, weight, u, np.ones((length, 2))))
     x0, driven = rng.standard_normal((4, 3)), DrivenRecords(records)
     whole, blocks = driven.response(system, x0), LongResponse(records, driven.samples, system, x0)
     expected, found = whole.normal_equations(poles=poles), blocks.normal_equations(poles=poles)
@@ -94,7 +94,7 @@ def test_the_encoder_is_the_same_block_by_block(
     records, states = list[ScaledTrajectory](), list[Array]()
     for length in (150, 5, 90):
         u, y = rng.standard_normal((2, length, 1))
-        counts = np.ones(length)
+        counts = np.ones((length, 1))
         counts[20:24] = 0.0 if lost else 1.0
         records.append(ScaledTrajectory(u, y, counts, u, counts))
         states.append(np.cumsum(u, axis=0) * [1.0, 0.1] + np.tanh(3.0 * y))

@@ -15,7 +15,7 @@ def record(length: int, noise: float = 0.0) -> ScaledTrajectory:
     u = rng.standard_normal((length, 1))
     y = filtered(u)
     y = y / y.std() + noise * rng.standard_normal(y.shape)
-    return ScaledTrajectory(u, y, np.ones(length), u, np.ones(length))
+    return ScaledTrajectory(u, y, np.ones((length, 1)), u, np.ones((length, 1)))
 
 
 def test_every_method_finds_the_poles_of_clean_data() -> None:

@@ -134,7 +134,9 @@ def test_intervals_hold_the_truth_where_samples_are_missing() -> None:
         mask[[7, 8, 9, 120, 250]], mask[300:360] = 0, 0
         y[mask == 0] = 1e3
         theta = np.linalg.lstsq(x[mask > 0], y[mask > 0])[0]
-        covariance = uncertainty.sandwich([(x @ theta - y)[:, None]], [x[:, None]], measured=[mask])
+        covariance = uncertainty.sandwich(
+            [(x @ theta - y)[:, None]], [x[:, None]], measured=[mask[:, None]]
+        )
         found = uncertainty.estimates(covariance, report, theta).parameters
         held += [one.low <= true <= one.high for one, true in zip(found, THETA, strict=True)]
     assert 0.90 < np.mean(held) < 0.98
@@ -146,7 +148,7 @@ def test_without_a_gap_the_mask_changes_nothing() -> None:
     residual = coloured(rng, 0.5)[:, None]
     plain = uncertainty.sandwich([residual], [x[:, None]], nuisance=[own])
     masked = uncertainty.sandwich(
-        [residual], [x[:, None]], nuisance=[own], measured=[np.ones(SAMPLES)]
+        [residual], [x[:, None]], nuisance=[own], measured=[np.ones((SAMPLES, 1))]
     )
     np.testing.assert_array_equal(plain.matrix, masked.matrix)
     assert (plain.freedom, plain.misfit) == (masked.freedom, masked.misfit)
@@ -157,5 +159,5 @@ def test_short_stretches_of_measured_samples_are_refused() -> None:
     mask = np.arange(SAMPLES) % 4 > 0
     with pytest.raises(ValueError, match="stretches of less than 20 samples"):
         uncertainty.sandwich(
-            [coloured(rng, 0.5)[:, None]], [regressors(rng)[:, None]], measured=[mask]
+            [coloured(rng, 0.5)[:, None]], [regressors(rng)[:, None]], measured=[mask[:, None]]
         )

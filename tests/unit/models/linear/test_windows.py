@@ -136,7 +136,7 @@ def test_normal_equations_are_the_same_by_lags_and_by_steps(sizes):
         for shape in ((past_u * nu + past_y * ny,), (samples, nu), (samples, ny))
     )
     theta = 0.1 * rng.standard_normal((lags.order + nu + 1, ny))
-    model, windows = WindowPredictor(lags, theta), HorizonWindows(features, u, y)
+    model, windows = WindowPredictor(lags, theta), HorizonWindows(features, u, y, np.ones_like(y))
     for one, other in zip(
         normal_by_lags(model, windows), normal_by_steps(model, windows), strict=True
     ):

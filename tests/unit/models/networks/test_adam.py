@@ -301,7 +301,7 @@ def test_a_step_sees_windows_of_the_horizon(
 @pytest.mark.slow
 def test_losses_are_what_their_names_say() -> None:
     residual = jnp.array([[[0.5], [-3.0], [1.0], [2.0]]])
-    weight = jnp.array([[1.0, 1.0, 0.0, 1.0]])
+    weight = jnp.array([[[1.0], [1.0], [0.0], [1.0]]])
     for loss, each in (
         ("mse", [0.25, 9.0, 4.0]),
         ("mae", [0.5, 3.0, 2.0]),

@@ -23,7 +23,7 @@ def drawn(samples: int, time: float, slow: float, white: float, seed: int = 0) -
 
 
 def estimated(residual: Array, choice: NoiseChoice, mask: Array | None = None) -> ResidualNoise:
-    mask = np.ones(residual.shape[:2]) if mask is None else mask
+    mask = np.ones(residual.shape) if mask is None else mask
     return estimate_noise(residual, mask, DT, choice, FLOOR)
 
 
@@ -53,9 +53,9 @@ def test_white_noise_has_no_slow_part() -> None:
 
 def test_padding_and_gaps_do_not_count() -> None:
     residual = drawn(3000, 60.0, 0.5, 0.2)
-    mask = np.ones(residual.shape[:2])
+    mask = np.ones(residual.shape)
     mask[:, 2500:], mask[:, 400:450] = 0.0, 0.0
-    found = estimated(np.where(mask[..., None] > 0, residual, 1e3), NoiseChoice(slow=True), mask)
+    found = estimated(np.where(mask > 0, residual, 1e3), NoiseChoice(slow=True), mask)
     assert found.slow[0] == pytest.approx(0.5, rel=0.25)
     assert found.white[0] == pytest.approx(0.2, rel=0.1)
 

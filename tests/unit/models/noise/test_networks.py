@@ -64,17 +64,17 @@ def test_under_white_noise_the_error_is_much_the_same() -> None:
 @pytest.mark.parametrize("huber", [None, 1.0])
 def test_the_objective_squares_innovations(huber: float | None) -> None:
     rng = np.random.default_rng(0)
-    residual, weight = rng.normal(size=(3, 40, 2)), np.ones((3, 40))
+    residual, weight = rng.normal(size=(3, 40, 2)), np.ones((3, 40, 2))
     weight[1, 25:], weight[2, 5:9] = 0.0, 0.0
     noise = ResidualNoise(np.array([8.0, 3.0]), np.array([0.5, 0.4]), np.array([0.2, 0.3]))
     whiten = NoiseWeighting.of(noise, 0.5, huber)
     found = objective("mse", jnp.asarray(residual), jnp.asarray(weight), 3, whiten=whiten)
-    counted = weight * (np.arange(40) >= 3)
+    counted = weight * (np.arange(40) >= 3)[:, None]
     white = innovations(innovation_filter(noise, 0.5, counted), residual)
     loss = white**2
     if huber is not None:
         loss = np.where(np.abs(white) < huber, loss, 2 * huber * np.abs(white) - huber**2)
-    expected = noise.variance.mean() * loss.sum() / (2 * counted.sum())
+    expected = noise.variance.mean() * loss.sum() / counted.sum()
     assert_allclose(float(found), expected, rtol=1e-4)
 
 

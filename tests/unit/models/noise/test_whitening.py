@@ -32,7 +32,7 @@ def masks() -> Array:
 
 def test_innovations_are_those_of_the_dense_whitener() -> None:
     mask, residual = masks(), np.random.default_rng(0).normal(size=(3, SAMPLES, 2))
-    found = innovations(innovation_filter(NOISE, DT, mask), residual)
+    found = innovations(innovation_filter(NOISE, DT, mask[..., None]), residual)
     for row in range(3):
         assert_array_equal(found[row, mask[row] == 0], 0.0)
         for output in range(2):
@@ -42,15 +42,15 @@ def test_innovations_are_those_of_the_dense_whitener() -> None:
 
 def test_numpy_and_jax_agree() -> None:
     mask, residual = masks(), np.random.default_rng(1).normal(size=(3, SAMPLES, 2))
-    expected = innovations(innovation_filter(NOISE, DT, mask), residual)
+    expected = innovations(innovation_filter(NOISE, DT, mask[..., None]), residual)
     with jax.enable_x64(True):
-        through = jax.jit(innovation_filter)(NOISE, DT, mask)
+        through = jax.jit(innovation_filter)(NOISE, DT, mask[..., None])
         assert_allclose(np.asarray(jax.jit(innovations)(through, residual)), expected, atol=1e-10)
 
 
 def test_what_does_not_count_changes_nothing() -> None:
     mask, residual = masks(), np.random.default_rng(2).normal(size=(3, SAMPLES, 2))
-    through = innovation_filter(NOISE, DT, mask)
+    through = innovation_filter(NOISE, DT, mask[..., None])
     other = np.where(mask[..., None] > 0, residual, 1e6)
     assert_array_equal(innovations(through, other), innovations(through, residual))
 
@@ -58,7 +58,7 @@ def test_what_does_not_count_changes_nothing() -> None:
 @pytest.mark.parametrize("huber", [None, 2.0])
 def test_white_noise_of_one_output_leaves_errors_as_they_are(huber: float | None) -> None:
     white = ResidualNoise(np.array([DT]), np.array([0.0]), np.array([0.3]))
-    weigh = ErrorWeighting.of(white, DT, np.ones((1, SAMPLES)), huber)
+    weigh = ErrorWeighting.of(white, DT, np.ones((1, SAMPLES, 1)), huber)
     error = np.random.default_rng(3).uniform(-0.5, 0.5, size=(1, SAMPLES, 1))
     assert_allclose(weigh(error), error, atol=1e-12)
     weighed = weigh(10.0 * error)

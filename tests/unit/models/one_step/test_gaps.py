@@ -26,7 +26,7 @@ def filled(error: Array, lost: slice) -> tuple[Trajectory, Array]:
     y = u + error[:, None]
     y[lost] = np.nan
     record = Trajectory(u, y, 1.0)
-    (found,) = reconstructed(scaled([record], PLAIN), [record], echo, CONTEXT)
+    (found,) = reconstructed(scaled([record], PLAIN), echo, CONTEXT)
     assert (found.y[record.measured] == record.y[record.measured]).all()
     return record, found.y[:, 0] - u[:, 0]
 
@@ -53,6 +53,6 @@ def test_gaps_at_the_ends_are_filled(lost: slice) -> None:
 def test_samples_with_filled_lags_are_learned_from_and_filled_ones_are_no_targets() -> None:
     record, _ = filled(np.zeros(40), slice(20, 25))
     plain = scaled([record], PLAIN)[0]
-    (whole,) = reconstructed([plain], [record], echo, CONTEXT)
-    assert len(regressors(plain, Lags(3, 1))[1]) == 40 - 3 - 5 - 3
-    assert len(regressors(whole, Lags(3, 1))[1]) == 40 - 3 - 5
+    (whole,) = reconstructed([plain], echo, CONTEXT)
+    assert regressors(plain, Lags(3, 1))[2].sum() == 40 - 3 - 5 - 3
+    assert regressors(whole, Lags(3, 1))[2].sum() == 40 - 3 - 5

@@ -34,7 +34,7 @@ def model(records: int = 2) -> TwoFilters:
 def record(length: int, seed: int) -> ScaledTrajectory:
     rng = np.random.default_rng(seed)
     u, y = rng.standard_normal((2, length, 1))
-    return ScaledTrajectory(u, y, rng.uniform(0.5, 1.5, length), u, np.ones(length))
+    return ScaledTrajectory(u, y, rng.uniform(0.5, 1.5, (length, 1)), u, np.ones((length, 1)))
 
 
 def gradient(equations: FilterEquations, theta: Array) -> Array:

@@ -124,7 +124,7 @@ def test_an_unstable_model_is_lost_from_the_state_of_the_past_window(
     # The motion that stays bounded.
     x0 = np.array([[-0.1 * sum(u[k, 0] * pole ** -(k + 1) for k in range(200)) * (pole > 1)]])
     y = structure.simulate(p, x0, u[None])[1][0]
-    record = ScaledTrajectory(u, y, np.ones(200), u, np.ones(200))
+    record = ScaledTrajectory(u, y, np.ones((200, 1)), u, np.ones((200, 1)))
     context = Context((Signal("u"),), (Signal("y"),), 1.0, 2, 2)
     # The state by the past outputs, slightly wrong.
     encoder = affine(np.array([[0.0], [0.0], [0.0], [pole]]), np.array([0.01]))
@@ -238,7 +238,7 @@ def test_states_of_unit_size_simulate_the_same(integrators: int) -> None:
     )  # fmt: skip
     u = rng.standard_normal((400, 1))
     y = system.simulate(np.zeros((1, 3)), u[None])[1][0]
-    record = ScaledTrajectory(u, y, np.ones(400), u, np.ones(400))
+    record = ScaledTrajectory(u, y, np.ones((400, 1)), u, np.ones((400, 1)))
     found = with_unit_states(LinearFit(system, np.zeros((1, 3)), 0.0), (record,), integrators)
     states, outputs = found.system.simulate(found.x0, u[None])
     assert outputs[0] == pytest.approx(y, rel=1e-6)

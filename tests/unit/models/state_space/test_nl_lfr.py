@@ -138,7 +138,7 @@ def test_a_fit_of_growing_outputs_stays_stable_with_the_stability_term(held: boo
     length = 150
     y = 1.002 ** np.arange(length)[None, :, None]
     samples = StateSamples(
-        np.ones((1, 1)), np.zeros((1, length, 1)), y, np.ones((1, length)), known=False
+        np.ones((1, 1)), np.zeros((1, length, 1)), y, np.ones((1, length, 1)), known=False
     )
     structure = StateSpaceStructure(1, 1, 1, "none", "tanh", 1, 2, None)
     a = np.array([[0.995]])
@@ -258,8 +258,8 @@ def test_normal_equations_of_regressors_are_those_of_their_columns() -> None:
         rng.normal(size=(2, 1)), rng.normal(size=2),
     )  # fmt: skip
     structure = StateSpaceStructure(2, 1, 2, "state", "tanh", 3, 2, 1)
-    u, weight = rng.normal(size=(80, 1)), np.ones(80)
-    weight[20:30] = 0.0
+    u, weight = rng.normal(size=(80, 1)), np.ones((80, 2))
+    weight[20:30], weight[50:60, 1] = 0.0, 0.0
     y = system.simulate(np.zeros((1, 2)), u[None])[1][0] + 0.1 * rng.normal(size=(80, 2))
     record = ScaledTrajectory(u, y, weight, u, weight)
     (r,) = prepared = feedback.prepared_records([record], LinearFit(system, np.zeros((1, 2)), 0.1))
@@ -268,7 +268,7 @@ def test_normal_equations_of_regressors_are_those_of_their_columns() -> None:
     layer = search.layer(direction, observed=False)
     ((gram, side, power),) = search.normal([(direction, False, layer)])
     units = np.tanh(r.read(direction, observed=False) @ layer["w1"] + layer["b1"])
-    columns = feedback.responses(system, units).reshape(160, -1) * np.repeat(weight, 2)[:, None]
+    columns = feedback.responses(system, units).reshape(160, -1) * weight.reshape(-1, 1)
     residual = r.residual.ravel()
     columns, residual = (one - r.basis @ (r.basis.T @ one) for one in (columns, residual))
     whole = columns.T @ columns

@@ -55,8 +55,8 @@ def test_normal_equations_of_innovations(
     monkeypatch.setattr(programs, "_CHUNK_VALUES", 200)
     structure = StateSpaceStructure(2, 1, 2, "state", "tanh", 2, 3, None)
     rng = np.random.default_rng(0)
-    u, y, weight = rng.normal(size=(2, 30, 1)), rng.normal(size=(2, 30, 2)), np.ones((2, 30))
-    weight[1, 22:] = 0.0
+    u, y, weight = rng.normal(size=(2, 30, 1)), rng.normal(size=(2, 30, 2)), np.ones((2, 30, 2))
+    weight[1, 22:], weight[0, 5:9, 1] = 0.0, 0.0
     samples = programs.StateSamples(rng.normal(size=(2, 2)), u, y, weight, known=False)
     tree: dict[str, Any] = {
         "a": np.array([[0.8, 0.1], [-0.1, 0.6]]),
@@ -77,7 +77,7 @@ def test_normal_equations_of_innovations(
     def residual(theta: np.ndarray) -> np.ndarray:
         p = packing.unpack(theta)
         found = weighting(structure.simulate(p, p["x0"], u)[1] - y)
-        errors = (found * weight[..., None]).ravel() / np.sqrt(2 * weight.sum())
+        errors = (found * weight).ravel() / np.sqrt(weight.sum())
         if stability is None:
             return errors
         growth = np.sqrt(stability.weight) * np.linalg.matrix_power(p["a"], 16)
