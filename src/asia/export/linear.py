@@ -23,7 +23,6 @@ from asia.lowering.linear import (
     LinearModel,
     OperatingPoint,
     fold_band,
-    is_integrating,
     joined,
     linearised,
     operating_points,
@@ -34,12 +33,15 @@ from asia.lowering.program import LoweredModel
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.search.run import LOCK, make_evaluator
-from asia.search.simulation import final_members, fold_models, loading_stored_models
+from asia.search.simulation import (
+    band_basis,
+    final_members,
+    fold_models,
+    loading_stored_models,
+)
 
 _STARTS = 4
 _WALK = 2_000
-# Samples of a training window whose residuals give the noise.
-_NOISE = 500
 
 
 @dataclass(frozen=True)
@@ -136,10 +138,9 @@ class LinearRun:
     integrating: tuple[int, ...]
     """Numbers of the outputs that integrate, by the training records."""
     noise: Array
-    """Standard deviation (ny,) of the measurement noise: of the changes of the residuals from
-    sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
+    """Standard deviation (ny,) of the measurement noise."""
     fit: float | None = None
-    """100 (1 - V) of the best experiment, in percent."""
+    """Fit of the experiment in percent."""
 
     def is_unstable(self, point: LinearPoint) -> bool:
         """Whether a mode grows, in the model or in the records."""
@@ -151,7 +152,7 @@ class LinearRun:
         """Reason that the plant has no resting point and no static gain there; "" where it has."""
         if self.is_unstable(point):
             return "the plant is unstable"
-        if self.integrating or is_integrating(point.model):
+        if self.integrating or point.model.is_integrating:
             return "the plant integrates"
         band = point.slowest_band
         if band is not None and band[1] >= 1.0:
@@ -224,16 +225,6 @@ def linearize(
             made.append(joined(evaluate(of.initial, [held, past_y, u[0]])))
         return made
 
-    changes: list[Array] = []
-    for block, x in zip(blocks, starts(own), strict=True):
-        residuals: list[Array] = []
-        for u, y in zip(block.case.u[:_NOISE], block.y[:_NOISE], strict=True):
-            seen, *states = evaluate(own.step, [*split(own, x), u])
-            residuals.append(y - seen)
-            x = joined(states)
-        changes.append(np.diff(residuals, axis=0))
-    apart = np.concatenate(changes)
-    noise = np.array([np.std(one[np.isfinite(one)]) / np.sqrt(2.0) for one in apart.T])
     points: list[LinearPoint] = []
     signals = problem.inputs, problem.outputs
     for asked in tracked(at or ("mean",), "operating point"):
@@ -275,11 +266,11 @@ def linearize(
             label = name if len(there) == 1 else f"{name} ({place})"
             rests = bool(np.isfinite(point.residual))
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
-    best = opened.view.best
+    noise = band_basis(evaluator, opened.view, opened.store, "ensemble").noise
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
         tuple(records), problem.responses, integrating(records), noise,
-        None if best is None or best.score is None else 100.0 * (1.0 - best.score.value),
+        opened.view.experiment(found.experiment).fit,
     )  # fmt: skip
 
 
@@ -291,6 +282,7 @@ class StepModels:
     """`refit`, or the number of an experiment, whose first fold model is the one."""
     notes: tuple[str, ...]
     """Sentences on the choice."""
+    experiment: int
     problem: Problem
     evaluator: Evaluator
     own: LoweredModel
@@ -326,7 +318,9 @@ def step_models(
         if isinstance(one, str):
             raise UserError(f"run '{run.name}': the model cannot be lowered to steps: {one}")
         lowered.append(one)
-    return StepModels(use, tuple(notes), problem, evaluator, lowered[0], tuple(lowered[1:]))
+    return StepModels(
+        use, tuple(notes), best.number, problem, evaluator, lowered[0], tuple(lowered[1:])
+    )
 
 
 def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:

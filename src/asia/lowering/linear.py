@@ -25,6 +25,8 @@ from asia.lowering.program import LoweredModel
 ComplexArray: TypeAlias = NDArray[np.complex128]
 # Hankel singular values below this share of the largest one belong to states without effect.
 _NEGLIGIBLE = 1e-9
+# Share of the largest coefficient of a transfer function below which the first ones are rounding.
+_ROUNDING = 1e-9
 # Distance of a pole from 1 at which the linear model counts as an integrator.
 _INTEGRATOR = 1e-6
 # Size of a discrete pole below which it holds past samples, within the error of a multiple
@@ -84,9 +86,9 @@ class LinearModel:
     @property
     def gain(self) -> Array:
         """Static gain (ny, nu); infinite with an integrator."""
-        rest = -self.a if self.sampling_time == 0 else np.eye(self.order) - self.a
-        if self.order and np.linalg.cond(rest) > 1.0 / _INTEGRATOR**1.5:
+        if self.is_integrating:
             return np.full_like(self.d, np.inf)
+        rest = -self.a if self.sampling_time == 0 else np.eye(self.order) - self.a
         return self.c @ np.linalg.solve(rest, self.b) + self.d
 
     @property
@@ -104,6 +106,11 @@ class LinearModel:
     def integrates(self, pole: complex) -> bool:
         """Return whether a pole is an integrator."""
         return abs(pole - (1.0 if self.sampling_time else 0.0)) < _INTEGRATOR * self._rate
+
+    @property
+    def is_integrating(self) -> bool:
+        """Whether a pole is an integrator."""
+        return any(map(self.integrates, self.poles.tolist()))
 
     @property
     def slope_gain(self) -> Array:
@@ -211,14 +218,25 @@ class LinearModel:
 
     def numerator(self) -> tuple[list[Array], Array]:
         """Transfer functions of all inputs to all outputs: numerators, one array (nu, n + 1) an
-        output, and the common denominator (n + 1,), the highest power first."""
+        output, and the common denominator (n + 1,), the highest power first. Coefficients of the
+        size of rounding are 0."""
         from scipy.signal import ss2tf
 
         found = [ss2tf(self.a, self.b, self.c, self.d, j) for j in range(self.b.shape[1])]
+        # Coefficients have the unit of a power of the rate. Slow modes make the last ones small.
+        powers = self._rate ** -np.arange(float(self.order + 1))
+        least = _ROUNDING / 1e3 if self.sampling_time else 0.0
+
+        def cleaned(values: Array) -> Array:
+            size = np.abs(values) * powers / np.maximum(np.abs(values * powers).max(), 1e-300)
+            first = np.maximum.accumulate(size) > _ROUNDING
+            return np.where(first & (size > least), values, 0.0)
+
         numerators = [
-            np.stack([np.atleast_2d(num)[i] for num, _ in found]) for i in range(len(self.c))
+            np.stack([cleaned(np.atleast_2d(num)[i]) for num, _ in found])
+            for i in range(len(self.c))
         ]
-        return numerators, np.asarray(found[0][1])
+        return numerators, cleaned(np.asarray(found[0][1]))
 
 
 # Operating points.
@@ -355,7 +373,9 @@ def minimal(model: LinearModel) -> LinearModel:
 
     def reachable(a: Array, b: Array) -> Array:
         """Orthonormal basis (n, r) of the states that the inputs reach."""
-        basis, part = np.zeros((len(a), 0)), b / max(float(np.abs(b).max(initial=0.0)), 1e-300)
+        # Each signal counts by its own unit.
+        sizes = np.abs(b).max(axis=0, initial=0.0)
+        basis, part = np.zeros((len(a), 0)), b / np.where(sizes > 0, sizes, 1.0)
         while part.size and basis.shape[1] < len(a):
             part = part - basis @ (basis.T @ part)
             part = part - basis @ (basis.T @ part)
@@ -567,12 +587,15 @@ def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessMod
     size = float(np.linalg.norm(y - y.mean()))
     if size <= 0 or len(t) < 4:
         raise UserError("the step response does not change: there is no process model")
-    span, every = float(t[-1]), float(np.diff(t).min())
+    # Differences of a fit need numbers of the size of 1: time in samples, y over its size.
+    every = float(np.diff(t).min())
+    t, y = t / every, y / size
+    span, rate = float(t[-1]), every if integrator else 1.0
     best: tuple[float, ProcessModel] | None = None
     for lags, zero in ((1, False), (2, False), (2, True), (3, False), (3, True)):
         here: tuple[float, ProcessModel] | None = None
         for share in (0.03, 0.1, 0.3):
-            for dead in (0.0, 2.0 * every):
+            for dead in (0.0, 2.0):
                 final = float(y[-1]) / (span if integrator else 1.0)
                 start = [final, *(np.log(share * span / (k + 1.0)) for k in range(lags)), dead]
                 start += [0.0] * zero
@@ -581,12 +604,12 @@ def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessMod
                     times = tuple(float(one) for one in np.exp(np.clip(z[1 : lags + 1], -30, 30)))
                     lead = float(z[lags + 2]) if zero else 0.0
                     late = float(abs(z[lags + 1]))
-                    late = 0.0 if late < 1e-3 * every else late
+                    late = 0.0 if late < 1e-3 else late
                     ordered = tuple(sorted(times, reverse=True))
                     return ProcessModel(float(z[0]), ordered, lead, late, integrator, 0.0)
 
                 def error(z: Array, of: Any = model) -> Array:
-                    return (of(z).step(t) - y) / size
+                    return of(z).step(t) - y
 
                 found = least_squares(error, start, x_scale="jac", max_nfev=300)
                 left = float(np.linalg.norm(found.fun))
@@ -597,7 +620,11 @@ def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessMod
         if best is not None and best[0] < _CLOSE:
             break
     assert best is not None
-    return best[1]
+    one = best[1]
+    return replace(
+        one, gain=one.gain * size / rate, lags=tuple(every * lag for lag in one.lags),
+        zero=every * one.zero, delay=every * one.delay,
+    )  # fmt: skip
 
 
 def settling_samples(model: LinearModel, most: int = 5_000) -> int:
@@ -634,17 +661,12 @@ def discretize(a: Array, b: Array, time: float) -> tuple[Array, Array]:
 
 def largest_gain(model: LinearModel) -> float:
     """Largest singular value of the frequency response; infinite with an integrator."""
-    if is_integrating(model):
+    if model.is_integrating:
         return math.inf
     peaks = [f for _, f, z, _ in model.modes() if np.isfinite(f) and abs(z) < 1]
     peaks = [f for f in peaks if f < 0.5 / model.sampling_time]
     at = np.concatenate([[0.0], corner_frequencies(model), peaks])
     return float(np.linalg.svd(model.response(at), compute_uv=False).max(initial=0.0))
-
-
-def is_integrating(model: LinearModel) -> bool:
-    """Whether a pole lies at 1."""
-    return bool((np.abs(model.poles - 1.0) < _INTEGRATOR).any())
 
 
 def corner_frequencies(model: LinearModel, points: int = 300) -> Array:

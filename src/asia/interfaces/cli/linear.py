@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -477,7 +477,7 @@ def _dynamics(
             "real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z,
             "time_s": None if rate.value is None else t, "frequency_band": rate.interval,
             "damping_band": None if band is None else [float(band[0][1]), float(band[1][1])],
-            "withheld": rate.reason or None, "share": share,
+            "withheld": rate.reason or None, "share": share, "integrates": model.integrates(p),
         })  # fmt: skip
     return {
         "poles": poles, "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
@@ -589,7 +589,7 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
             f"most {one['bound']:.3g}{unit}{part}; on the longest training record the outputs "
             f"differ by {one['difference_on_record']:.2g} standard deviations"
         )
-        yield from _model_lines(run, model, one, step)
+        yield from _model_lines(run, one, step)
     if "none" in facts.get("continuous", ()):
         yield f"note      {facts['continuous']['none']}"
     elif "continuous" in facts:
@@ -597,21 +597,17 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
         dead = one["dead_time_samples"]
         late = f" after a dead time of {dead * step:g} s" if dead else ""
         yield f"continuous order {len(one['A'])}{late}; the matrices are in linear.json"
-        yield from _model_lines(run, model, one, 0.0)
+        yield from _model_lines(run, one, 0.0)
 
 
-def _model_lines(
-    run: LinearRun, model: LinearModel, facts: dict[str, Any], step: float
-) -> Iterator[str]:
+def _model_lines(run: LinearRun, facts: dict[str, Any], step: float) -> Iterator[str]:
     """Yield poles and gains of a model that was made from another, indented."""
     yield from (f"  {line}" for line in _pole_lines(facts["poles"], step))
     if facts["gain"] is None:
         return
-    matrices = {name.lower(): facts[name] for name in "ABCD"}
-    made = replace(model, **matrices, sampling_time=step)
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
-            gain = f"{made.gain[i, j]:.5g}{_gain_unit(out, into)}"
+            gain = f"{facts['gain'][i, j]:.5g}{_gain_unit(out, into)}"
             yield f"  gain      {out.name} by {into.name}: {gain}"
 
 
@@ -641,7 +637,7 @@ def _pole_lines(
         if np.isnan(one["frequency_hz"]):
             yield f"{text} no continuous counterpart"
             continue
-        if abs(pole - edge) < 1e-6:
+        if one["integrates"]:
             yield f"{text} integrator"
             continue
         near = slowest is not None and slowest[1] >= 1.0 and pole.real >= largest
@@ -692,11 +688,10 @@ def _transfer_lines(
 def _polynomial(coefficients: Any, variable: str) -> str:
     """Polynomial in a variable, such as (0.5 z + 1)."""
     most = len(coefficients) - 1
-    size = max(float(np.abs(coefficients).max()), 1e-300)
     terms = [
         ("" if value == 1.0 and most > k else f"{value:.5g} ").strip()
         + ("" if most == k else f" {variable}" + (f"^{most - k}" if most - k > 1 else ""))
         for k, value in enumerate(coefficients)
-        if abs(value) > 1e-12 * size
+        if value
     ]
     return f"({' + '.join(term.strip() for term in terms) or '0'})".replace("+ -", "- ")

@@ -1,0 +1,267 @@
+"""Two doors print one number: terminal text, --json, Python, the page and the metadata of an export
+agree on every figure of a run, to the digits that they print."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import asia
+from asia.ledger.run import open_run
+from asia.problem.load import load_problem
+from asia.report.page.page import write_page
+from asia.search.run import prepare, search
+from tests.unit.interfaces.cli.conftest import command_line
+from tests.unit.painting import unpainted
+from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
+
+pytestmark = pytest.mark.slow
+
+MEAN = """
+import numpy as np
+
+
+class Model:
+    def simulate(self, past_u, past_y, u):
+        return np.full((len(u), u.shape[1], past_y.shape[2]), -3.0)
+
+
+def fit(trajectories, context):
+    return Model()
+"""
+
+# Runs of different kinds, as changes of the problem `toy` and its candidates.
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A search on the toy problem."""
+
+    changes: tuple[tuple[str, str], ...] = ()
+    """Texts in problem.toml and what replaces them."""
+    sources: tuple[str, ...] = (arx(2), CRASH, arx(3))
+    baseline: str = ""
+    unsealed: bool = False
+    validated: bool = True
+    finished: bool = True
+
+
+KINDS = {
+    "plain": Kind(),
+    "unsealed": Kind(unsealed=True),
+    "not validated": Kind(validated=False),
+    "not finished": Kind(finished=False, validated=False),
+    "worse than the mean": Kind(sources=(), baseline=MEAN),
+    "windows": Kind(
+        (("[protocol]\n", '[protocol]\nkind = "windows"\nhorizon = 20\n'),), unsealed=True
+    ),
+    "absolute errors": Kind((("[protocol]\n", '[protocol]\nmetric = "mae"\n'),), unsealed=True),
+    "guard": Kind((("[data]\n", '[data]\nguard = ["test.csv"]\n'), ('test = ["test.csv"]', ""))),
+    "every second sample": Kind(
+        (("[protocol]\n", "[preprocess]\ndecimate = 2\n[protocol]\n"),), unsealed=True
+    ),
+}
+
+
+def run_of(kind: Kind, root: Path) -> Path:
+    """Directory of a run of this kind."""
+    problem = write_problem(root / "toy", experiments=1 + len(kind.sources))
+    text = (problem / "problem.toml").read_text()
+    for old, new in kind.changes:
+        assert old in text
+        text = text.replace(old, new)
+    (problem / "problem.toml").write_text(text)
+    if kind.baseline:
+        (problem / "baseline.py").write_text(kind.baseline)
+    agent = Scripted(kind.sources)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("asia.search.run.can_read_records", lambda names: False)
+        ready = prepare(load_problem(problem), agent.name, seed=0, runs=root / "runs")
+        search(ready, agent, lambda event, view: None, lambda view: None)
+    if not kind.finished:
+        ledger = ready.directory / "ledger.jsonl"
+        lines = ledger.read_bytes().splitlines(keepends=True)
+        last = max(k for k, line in enumerate(lines) if b'"event":"evaluated"' in line)
+        ledger.write_bytes(b"".join(lines[: last + 1]))
+    return ready.directory
+
+
+# The doors.
+
+
+@dataclass
+class Doors:
+    """What the doors print of a run."""
+
+    run: Any
+    texts: dict[str, str] = field(default_factory=dict[str, str])
+    objects: dict[str, Any] = field(default_factory=dict[str, Any])
+
+
+def opened(directory: Path, kind: Kind) -> Doors:
+    commands = ["validate"] * kind.validated + ["unseal"] * kind.unsealed + ["show", "status"]
+    found = Doors(None)
+    for command in commands:
+        words = (command, directory, *(["--yes"] * (command == "unseal")))
+        for json_words in ((), ("--json",)):
+            done = command_line(*words, *json_words)
+            assert done.code == 0, done.err
+            if json_words:
+                found.objects[command] = json.loads(done.out.splitlines()[-1])
+            else:
+                found.texts[command] = done.out
+    done = command_line("report", directory, "--runs", directory.parent)
+    assert done.code == 0, done.err
+    found.texts["report"] = done.err
+    page = write_page(directory).read_text("utf-8")
+    page = re.sub(r"<(style|script|svg)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    found.texts["page"] = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", page)).split())
+    found.run = open_run(directory)
+    return found
+
+
+# Figures.
+
+NUMBER = r"(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure that several doors print."""
+
+    exact: Callable[[Doors], Any]
+    """Its values by the ledger; None where the run has none."""
+    texts: dict[str, str]
+    """Door and pattern, whose groups are the printed values."""
+    objects: dict[str, Callable[[Any], Any]]
+    """Door and the values in its object."""
+
+
+def _best(doors: Doors) -> Any:
+    return doors.run.view.best
+
+
+def _tested(doors: Doors) -> Any:
+    record = doors.run.view.unsealed
+    return None if record is None else record.ensemble.scores[0]
+
+
+def _reference(doors: Doors) -> float | None:
+    return doors.run.view.reference_value("linear model")
+
+
+def _looks(doors: Doors) -> Any:
+    looks = doors.run.view.looks
+    return [s.outcome.value for s in looks[-1].scores] if looks else None
+
+
+FIGURES = {
+    "V": Figure(
+        lambda doors: _best(doors).score.value,
+        {
+            "show": rf"V = {NUMBER} \(folds",
+            "status": rf"\| best #\d+ {NUMBER}",
+            "page": rf"V, winner {NUMBER}",
+        },
+        {"show": lambda o: o["V"], "status": lambda o: o["best"]["V"]},
+    ),
+    "V of the folds": Figure(
+        lambda doors: [fold.value for fold in _best(doors).score.folds],
+        {"show": rf"\(folds {', '.join([NUMBER] * 5)}\)"},
+        {"show": lambda o: o["folds"]},
+    ),
+    "V of the linear model": Figure(
+        _reference,
+        {
+            "status": rf"reference linear model +V={NUMBER}",
+            "page": rf"V, linear model {NUMBER}",
+        },
+        {"status": lambda o: o["references"]["linear model"]},
+    ),
+    "test error": Figure(
+        lambda doors: _tested(doors) and _tested(doors).value,
+        {"unseal": rf"ensemble of the fold models +\w+ {NUMBER}", "page": rf"(?!)"},
+        {"unseal": lambda o: next(iter(o["test"].values()))},
+    ),
+    "error on the guard": Figure(
+        _looks,
+        {"status": rf"guard +#\d+ {NUMBER}, #\d+ {NUMBER}"},
+        {},
+    ),
+}
+
+
+def same(printed: str, exact: float) -> bool:
+    """Whether a printed number is the exact one to its digits."""
+    mantissa, _, power = printed.partition("e")
+    digits = len(mantissa.partition(".")[2])
+    unit = 10.0 ** (int(power or 0) - digits)
+    return abs(float(printed) - exact) <= 0.5001 * unit + 1e-12 * abs(exact)
+
+
+def as_list(value: Any) -> list[float]:
+    return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Doors]:
+    """What the doors print of a run of a kind."""
+    known: dict[str, Doors] = {}
+
+    def of(kind: str) -> Doors:
+        if kind not in known:
+            with unpainted():
+                root = tmp_path_factory.mktemp("doors")
+                known[kind] = opened(run_of(KINDS[kind], root), KINDS[kind])
+        return known[kind]
+
+    return of
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_figures_are_the_same(kind: str, made: Callable[[str], Doors]) -> None:
+    doors, wrong = made(kind), list[str]()
+    for name, figure in FIGURES.items():
+        value = figure.exact(doors)
+        if value is None:
+            continue
+        exact = as_list(value)
+        for door, pattern in figure.texts.items():
+            match = re.search(pattern, doors.texts.get(door, ""))
+            printed = () if match is None else match.groups()
+            right = len(printed) == len(exact) and all(map(same, printed, exact))
+            if door in doors.texts and not right:
+                wrong.append(f"{name}: {door} prints {printed}, expected {exact}")
+        for door, of in figure.objects.items():
+            if door in doors.objects and as_list(of(doors.objects[door])) != exact:
+                wrong.append(f"{name}: {door} --json has {of(doors.objects[door])}, not {exact}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_verdict_is_the_same(kind: str, made: Callable[[str], Doors]) -> None:
+    doors = made(kind)
+    judged = asia.ledger.verdict.usability(doors.run.view)
+    first, *others = judged.reasons or ("",)
+    sentence = f"{judged.kind}: {first}" if first else judged.kind
+    for door in doors.objects.keys() & {"show", "status", "validate"}:
+        assert doors.objects[door]["verdict"] == {
+            "kind": judged.kind, "reasons": list(judged.reasons)
+        }, door  # fmt: skip
+        lines = [line.split(None, 1) for line in doors.texts[door].splitlines()]
+        assert ["verdict", sentence] in lines, door
+    assert f"verdict {sentence}" in doors.texts["report"]
+    assert f"Verdict {judged.kind.capitalize()} " in doors.texts["page"]
+    if judged.kind in ("doubtful", "not usable"):
+        assert all(" ".join(one.split()) in doors.texts["page"] for one in judged.reasons)
+    assert len(others) < len(judged.reasons) or not judged.reasons
