@@ -10,7 +10,7 @@ error bound); Seborg et al., Process Dynamics and Control, chapter 5 (process mo
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,6 +188,11 @@ class LinearModel:
             [self.c @ np.linalg.solve(one * eye - self.a, self.b) + self.d for one in z]
         )
 
+    def scaled(self, u: Array, y: Array) -> Self:
+        """The model of inputs and outputs in units of these sizes (nu,) and (ny,)."""
+        b, c, d = self.b * u, self.c / y[:, None], self.d * u / y[:, None]
+        return replace(self, b=b, c=c, d=d, u0=self.u0 / u, y0=self.y0 / y)
+
     def step_response(self, samples: int) -> Array:
         """Response (samples, ny, nu) of a discrete model to a unit step of each input."""
         x, found = np.zeros(self.b.shape), np.empty((samples, *self.d.shape))
@@ -307,9 +312,12 @@ def operating_points(
             if y is None:
                 matrix = matrix[:, :n]
             else:
-                wrong = np.concatenate([wrong, outputs - y])
-                matrix = np.vstack([matrix, slopes[: model.ny]])
-            move = np.asarray(np.linalg.lstsq(matrix, -wrong, rcond=1e-12)[0], np.float64)
+                wrong = np.concatenate([wrong, (outputs - y) / level])
+                matrix = np.vstack([matrix, slopes[: model.ny] / level[:, None]])
+            # States and inputs have units of their own.
+            units = np.linalg.norm(matrix, axis=0)
+            units[units == 0.0] = 1.0
+            move = np.linalg.lstsq(matrix / units, -wrong, rcond=1e-12)[0] / units
             if not np.isfinite(move).all():
                 break
             x = x + move[:n]
@@ -324,6 +332,7 @@ def operating_points(
         [evaluate(model.step, [*split(model, one), u])[0] for one in starts]
         + ([] if y is None else [y])
     ).max(axis=0)
+    level[level == 0.0] = 1.0
     for start in starts:
         x, inputs = start, np.array(u, np.float64)
         # Newton's method ends the settling, unless it leads away from where that goes.

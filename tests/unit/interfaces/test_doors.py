@@ -7,8 +7,7 @@ import html
 import json
 import math
 import re
-import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,8 @@ import numpy as np
 import pytest
 
 import asia
-from asia.ledger.run import open_run
+from asia.ledger.run import model_to_use, open_run, tested_model
+from asia.ledger.verdict import usability
 from asia.problem.load import load_problem
 from asia.report.page.page import write_page
 from asia.search.run import prepare, search
@@ -156,6 +156,11 @@ def _tested(doors: Doors) -> Any:
     return None if record is None else record.ensemble.scores[0]
 
 
+def _used(doors: Doors) -> Any:
+    record, named = doors.run.view.unsealed, model_to_use(doors.run.view)
+    return None if record is None else tested_model(record, named.model).scores[0].value
+
+
 def _reference(doors: Doors) -> float | None:
     return doors.run.view.reference_value("linear model")
 
@@ -190,8 +195,18 @@ FIGURES = {
     ),
     "test error": Figure(
         lambda doors: _tested(doors) and _tested(doors).value,
-        {"unseal": rf"ensemble of the fold models +\w+ {NUMBER}", "page": rf"(?!)"},
+        {"unseal": rf"ensemble of the fold models +\w+ {NUMBER}"},
         {"unseal": lambda o: next(iter(o["test"].values()))},
+    ),
+    "test error of the model to use": Figure(
+        lambda doors: _used(doors),
+        {"page": rf"after the search, its \w+ is {NUMBER}"},
+        {"unseal": lambda o: [v for k, v in o["use"].items() if k in ("rmse", "mae")]},
+    ),
+    "share of the test in the bands": Figure(
+        lambda doors: _tested(doors) and [100.0 * c for c in doors.run.view.unsealed.bands.covered],
+        {"unseal": rf"around it held: y {NUMBER} %"},
+        {"unseal": lambda o: [100.0 * c for c in o["bands"]["covered"].values()]},
     ),
     "error on the guard": Figure(
         _looks,
@@ -251,7 +266,7 @@ def test_figures_are_the_same(kind: str, made: Callable[[str], Doors]) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_verdict_is_the_same(kind: str, made: Callable[[str], Doors]) -> None:
     doors = made(kind)
-    judged = asia.ledger.verdict.usability(doors.run.view)
+    judged = usability(doors.run.view)
     first, *others = judged.reasons or ("",)
     sentence = f"{judged.kind}: {first}" if first else judged.kind
     for door in doors.objects.keys() & {"show", "status", "validate"}:
@@ -265,3 +280,108 @@ def test_the_verdict_is_the_same(kind: str, made: Callable[[str], Doors]) -> Non
     if judged.kind in ("doubtful", "not usable"):
         assert all(" ".join(one.split()) in doors.texts["page"] for one in judged.reasons)
     assert len(others) < len(judged.reasons) or not judged.reasons
+
+
+# One refit of the library: its parameters, poles, gains and noise.
+
+PHYSICS = {
+    "states": ["x"],
+    "parameters": {"tau": {"min": 0.1, "max": 20.0}, "gain": {"min": 0.1, "max": 10.0}},
+    "dynamics": {"x": "(gain*pump - x)/tau"},
+    "observation": {"level": "x"},
+}
+REFITS: dict[str, dict[str, Any] | None] = {"linear": None, "equations": PHYSICS}
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A run of the estimator, and what doors print of its refit."""
+
+    estimator: asia.SystemIdentifier
+    shown: dict[str, Any]
+    text: str
+    linear: dict[str, Any]
+    validated: str
+    planned: dict[str, Any]
+    controlled: str
+    exported: dict[str, Any]
+    page: str
+
+
+@pytest.fixture(scope="module", params=REFITS)
+def refit(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Refit:
+    root = tmp_path_factory.mktemp("refit")
+    rng = np.random.default_rng(1)
+    u, y = np.repeat(rng.normal(size=60), 4), np.zeros(240)
+    for k in range(1, 240):
+        y[k] = 0.8 * y[k - 1] + 0.4 * u[k - 1]
+    y += 0.02 * rng.normal(size=240)
+    found = asia.SystemIdentifier(
+        1, runs=root, progress=False, budget={"retests": 0}, physics=REFITS[request.param]
+    ).fit(u, y, sampling_time=0.5, inputs=["pump"], outputs=["level"])
+    directory = found.run_.directory
+
+    def printed(*words: object) -> str:
+        done = command_line(*words)
+        assert done.code in (0, 1), done.err
+        return done.out
+
+    with unpainted():
+        (exported,) = found.export("numpy", root / "export")
+        linear = json.loads(printed("linear", directory, "--json"))
+        validated = printed("validate", directory)
+        planned = json.loads(printed("next", directory, "--duration", 30, "--json"))
+        controlled = printed("control", directory)
+        shown = json.loads(printed("show", directory, "--json"))
+        text = printed("show", directory)
+    page = write_page(directory).read_text("utf-8")
+    page = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", page)).split())
+    metadata = json.loads((exported.folder / "model.json").read_text())
+    return Refit(found, shown, text, linear, validated, planned, controlled, metadata, page)
+
+
+def test_parameters_have_one_value_and_one_interval(refit: Refit) -> None:
+    frame: Any = refit.estimator.parameters_
+    assert list(frame.index) == [one["name"] for one in refit.shown["parameters"]]
+    assert len(frame)
+    for one in refit.shown["parameters"]:
+        row = frame.loc[one["name"]]
+        ends = one["interval_95"] or (math.nan, math.nan)
+        expected = [one["value"], one["standard_error"], *ends, one["standard_error_by_folds"]]
+        values = row[["value", "standard_error", "low", "high", "fold_error"]].astype(float)
+        assert np.array(expected, np.float64) == pytest.approx(values.to_numpy(), nan_ok=True)
+        (line,) = [s for s in refit.text.splitlines() if s.startswith(f"  {one['name']}  ")]
+        assert line.split(one["name"])[1].split()[0] == f"{one['value']:.5g}"
+        for door in (refit.text, refit.page):
+            interval = f"{ends[0]:.4g} to {ends[1]:.4g}".replace("-", "[-\N{MINUS SIGN}]")
+            assert math.isnan(ends[0]) or re.search(interval, door), interval
+
+
+def test_the_linear_model_is_that_of_the_refit(refit: Refit) -> None:
+    (point,) = refit.linear["points"]
+    parameters = {one["name"]: one["value"] for one in refit.shown["parameters"]}
+    step, tau = point["sampling_time"], parameters.get("tau")
+    gain = parameters.get("gain", parameters.get("gain y1/u1"))
+    times = [one["time_s"] for one in point["poles"] if one["time_s"] is not None]
+    if tau is None:
+        tau = step * parameters["time constant 1 [samples]"]
+        assert point["order"] == parameters["order [states]"]
+    assert times[0] == pytest.approx(tau, rel=1e-6)
+    assert point["gain"][0][0] == pytest.approx(gain, rel=1e-6)
+    assert refit.exported["sampling_time"] == step == refit.planned["sampling_time"]
+    assert f"sampling time {step:g} s" in "\n".join(refit.linear["text"])
+    pole = next(line for line in refit.linear["text"] if line.startswith("pole "))
+    assert f"{point['poles'][0]['real']:.6g}" in pole
+    assert f"time constant {times[0]:.4g} s" in pole
+    assert " ".join(pole.split()) in refit.page
+    # `asia validate` prints three digits of the gain, from small steps of the same model.
+    (static,) = set(re.findall(rf"static gain {NUMBER} on level", refit.validated))
+    assert same(static, gain)
+
+
+def test_the_noise_is_the_same(refit: Refit) -> None:
+    (noise,) = refit.planned["noise"]
+    (printed,) = re.findall(rf"noise +level {NUMBER} moves", refit.controlled)
+    assert same(printed, noise)
+    (printed,) = re.findall(rf"\(level {NUMBER} is 1\)", "\n".join(refit.planned["text"]))
+    assert same(printed, noise)

@@ -1,6 +1,6 @@
-"""Numbers follow their signals at every door: scaled, shifted, negated, permuted and renamed signals,
-reordered records and another unit of time change only the numbers that carry the unit. Of sentences
-only the words are compared."""
+"""Numbers follow their signals at every door: scaled, shifted, negated, permuted and renamed
+signals, reordered records and another unit of time change only the numbers that carry the unit. Of
+sentences only the words are compared."""
 
 from __future__ import annotations
 

@@ -380,6 +380,7 @@ def _facts(
     run: LinearRun, point: LinearPoint, reduce: str | None, *, to_tf: bool, rate: bool
 ) -> dict[str, Any]:
     """Everything that is printed of a point, and the matrices."""
+    from asia.data.trajectory import deviations
     from asia.lowering.linear import (
         continuous,
         largest_gain,
@@ -412,18 +413,21 @@ def _facts(
     if reduce is not None:
         if reduce != "auto" and not reduce.isdigit():
             raise UserError(f"--reduce is '{reduce}', expected auto or a number of states")
-        small = reduced(model, None if reduce == "auto" else int(reduce))
+        # Signals of several units count by their deviations.
+        u, y = (np.concatenate([getattr(r, side) for r in run.records]) for side in ("u", "y"))
+        units = deviations(u), deviations(y)
+        whole = model.scaled(*units)
+        small = reduced(whole, None if reduce == "auto" else int(reduce))
+        made = small.model.scaled(*(1.0 / one for one in units))
         inputs = max(run.records, key=len).u
-        full, less = model.simulate(inputs), small.model.simulate(inputs)
-        spread = np.maximum(full.std(axis=0), 1e-300)
-        size = largest_gain(model)
+        apart = (model.simulate(inputs) - made.simulate(inputs)) / units[1]
+        size = largest_gain(whole)
         found["reduced"] = {
-            "order": small.model.order, "bound": small.bound,
+            "order": made.order, "bound": small.bound,
             "relative_bound": small.bound / size if np.isfinite(size) and size > 0 else None,
-            **_dynamics(small.model, (), reason),
-            "singular_values": small.singular_values,
-            "difference_on_record": float(np.sqrt((((full - less) / spread) ** 2).mean())),
-            "A": small.model.a, "B": small.model.b, "C": small.model.c, "D": small.model.d,
+            **_dynamics(made, (), reason), "singular_values": small.singular_values,
+            "difference_on_record": float(np.sqrt((apart**2).mean())),
+            "A": made.a, "B": made.b, "C": made.c, "D": made.d,
         }  # fmt: skip
     if to_tf:
         samples = settling(model)
@@ -580,14 +584,12 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
             yield f"H(s)      none: {error}"
     if "reduced" in facts:
         one = facts["reduced"]
-        alone = len(run.inputs) == len(run.outputs) == 1
-        unit = _gain_unit(run.outputs[0], run.inputs[0]) if alone else " (largest singular value)"
         share = one["relative_bound"]
         part = "" if share is None else f", {100 * share:.2g} % of its largest value"
         yield (
             f"reduced   to {_counted(one['order'], 'state')}: the frequency response differs by at "
-            f"most {one['bound']:.3g}{unit}{part}; on the longest training record the outputs "
-            f"differ by {one['difference_on_record']:.2g} standard deviations"
+            f"most {one['bound']:.3g} standard deviations of outputs for one of inputs{part}; on "
+            f"the longest training record the outputs differ by {one['difference_on_record']:.2g}"
         )
         yield from _model_lines(run, one, step)
     if "none" in facts.get("continuous", ()):
