@@ -68,20 +68,29 @@ class LinearModel:
         size = np.real(found) if self.sampling_time == 0 else np.abs(found)
         return found[np.argsort(-size, kind="stable")]
 
+    def _normalised(self) -> tuple[list[Array], Array]:
+        """A, B, C and D in units of the rate and of the signals, so that rounding is alike in all
+        units; and the units (ny, nu) of the response."""
+        sizes = [np.linalg.norm(self.b, axis=0), np.linalg.norm(self.c, axis=1)]
+        into, out = (np.where(one > 0, one, 1.0) for one in sizes)
+        unit = np.outer(out, into) / self._rate
+        return [self.a / self._rate, self.b / into, self.c / out[:, None], self.d / unit], unit
+
     @property
     def zeros(self) -> ComplexArray:
-        """Invariant zeros, complex, of a system with as many inputs as outputs; else empty."""
-        if self.b.shape[1] != len(self.c):
+        """Invariant zeros, complex, the smallest first, of a system with as many inputs as outputs;
+        else empty."""
+        if not self.b.shape[1] == len(self.c) > 0:
             return np.zeros(0, np.complex128)
         from scipy.linalg import eig
 
-        n, m = self.order, self.b.shape[1]
-        pencil = np.block([[self.a, self.b], [self.c, self.d]])
+        n, ((a, b, c, d), _) = self.order, self._normalised()
+        pencil = np.block([[a, b], [c, d]])
         mass = np.zeros_like(pencil)
         mass[:n, :n] = np.eye(n)
         found = np.asarray(eig(pencil, mass, right=False), np.complex128)
-        found = found[np.isfinite(found) & (np.abs(found) < 1e8 * self._rate)]
-        return found if m else np.zeros(0, np.complex128)
+        found = self._rate * found[np.isfinite(found) & (np.abs(found) < 1e8)]
+        return found[np.lexsort((-found.imag, np.abs(found).round(12)))]
 
     @property
     def gain(self) -> Array:
@@ -227,21 +236,23 @@ class LinearModel:
         size of rounding are 0."""
         from scipy.signal import ss2tf
 
-        found = [ss2tf(self.a, self.b, self.c, self.d, j) for j in range(self.b.shape[1])]
+        (a, b, c, d), unit = self._normalised()
         # Coefficients have the unit of a power of the rate. Slow modes make the last ones small.
-        powers = self._rate ** -np.arange(float(self.order + 1))
+        powers = self._rate ** np.arange(self.order + 1.0)
         least = _ROUNDING / 1e3 if self.sampling_time else 0.0
 
         def cleaned(values: Array) -> Array:
-            size = np.abs(values) * powers / np.maximum(np.abs(values * powers).max(), 1e-300)
+            size = np.abs(values) / max(float(np.abs(values).max()), 1e-300)
             first = np.maximum.accumulate(size) > _ROUNDING
             return np.where(first & (size > least), values, 0.0)
 
+        found = [ss2tf(a, b, c, d, j) for j in range(b.shape[1])]
         numerators = [
             np.stack([cleaned(np.atleast_2d(num)[i]) for num, _ in found])
-            for i in range(len(self.c))
-        ]
-        return numerators, cleaned(np.asarray(found[0][1]))
+            * unit[i][:, None] * powers
+            for i in range(len(c))
+        ]  # fmt: skip
+        return numerators, cleaned(np.asarray(found[0][1])) * powers
 
 
 # Operating points.

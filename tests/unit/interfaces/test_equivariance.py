@@ -120,12 +120,15 @@ DIMENSIONS = {
     r"of_records\.(?P<o>\d)\.models\.(?P<i>\d)\.gain": "y/u",
     r"of_records\.(?P<o>\d)\.models\.(?P<i>\d)\.(lags|zero|delay)": "t",
     r"of_records\.(?P<o>\d)\.models\.(?P<i>\d)": "",
-    r"of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.0\.standard_error": "|y/u",
-    r"of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.0\.\w+$": "y/u",
-    r"of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.\d\.(?!data)\w+$": "t",
+    r"of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.0\.\w+_error": "|y/u",
+    r"of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.0\.(value|low|high|lower|upper)": "y/u",
+    r"of_records\.(?P<o>\d)\.parameters\.(?P<i>\d)\.\d\.(?!data|at)\w+$": "t",
     r"of_records\.(?P<o>\d)\.(first|withheld)\.(?P<i>\d)": "",
     r"of_records\.(?P<o>\d)\.offset": "y+@",
     r"of_records\.(?P<o>\d)": "",
+    # Models of a frequency response, in continuous time.
+    r"^response\.delay": "t",
+    r"^response\.(poles|zeros)\.\d\.(real|imag)": "/t",
     # A run: simulations, gains and their errors, linear models.
     r"(simulated\.(y_hat|lower|upper)|predicted)\.\d+\.(?P<o>\d)$": "y+",
     r"parameters\.gain\.(?P<o>\d)\.(?P<i>\d)\.\w*error": "|y/u",
@@ -283,6 +286,29 @@ def linear_of_record(of: Transformation, folder: Path) -> Any:
     return facts
 
 
+def linear_of_response(of: Transformation, folder: Path) -> Any:
+    """`asia linear FILE` of a frequency response."""
+    rng = np.random.default_rng(0)
+    frequency = np.geomspace(0.01, 0.9, 24)
+    slow, fast = (1 / (1 + 2j * np.pi * frequency * time) for time in (3.0, 1.0))
+    plain = np.array([2.0 * slow, 0.5 * fast, slow, 1.5 * fast])
+    plain = plain * (1 + 0.01 * (rng.normal(size=(4, 24)) + 1j * rng.normal(size=(4, 24))))
+    columns = {"frequency": frequency / of.time}
+    way = -1 if of.permuted else 1
+    for i in (0, 1)[::way]:
+        for j in (0, 1)[::way]:
+            pair = f"{_named(of, OUTPUTS)[i]}/{_named(of, INPUTS)[j]}"
+            values = plain[2 * i + j] * of.y[i] / of.u[j]
+            columns |= {f"{pair} real": values.real, f"{pair} imag": values.imag}
+    table, path = np.stack(list(columns.values()), axis=1), folder / "response.csv"
+    np.savetxt(path, table, "%.17g", ",", header=",".join(columns), comments="")
+    done = command_line("linear", path, "--out", folder / "linear", "--json", "--to-tf")
+    assert done.code == 0, done.err
+    facts = json.loads(done.out)
+    unordered(facts, of)
+    return {"response": {key: facts[key] for key in facts if key not in "ABCD"}}
+
+
 def unordered(facts: dict[str, Any], of: Transformation) -> None:
     """Take out names, whose order is that of the channels, and sort the lines."""
     for name in ("file", "inputs", "outputs", "run"):
@@ -368,6 +394,7 @@ def _by_name(parameters: list[dict[str, Any]], key: str) -> dict[str, Any]:
 DOORS: dict[str, Callable[[Transformation, Path], Any]] = {
     "check": checked,
     "linear FILE": linear_of_record,
+    "linear RESPONSE": linear_of_response,
     "run": of_run,
 }
 
@@ -380,7 +407,7 @@ def original(door: str) -> dict[str, Any]:
 
 QUICK = {("linear FILE", "another scale"), ("linear FILE", "another direction")}
 CASES = [(door, name) for door in ("check",) for name in TRANSFORMATIONS]
-CASES += [(door, name) for door in ("linear FILE", "run") for name in TOGETHER]
+CASES += [(door, name) for door in ("linear FILE", "linear RESPONSE", "run") for name in TOGETHER]
 
 
 @pytest.mark.parametrize(
