@@ -59,22 +59,11 @@ class LinearPoint:
     steps: tuple[tuple[LoweredModel, OperatingPoint], ...] = ()
     """The nonlinear models of `model` and `folds` with their operating points."""
 
-    @property
-    def gain_band(self) -> tuple[Array, Array] | None:
-        """90 % band of the static gain, ends (ny, nu), by the fold models; None without them."""
-        folds = [one.gain for one in self.folds]
-        return fold_band(self.model.gain, folds) if len(folds) > 1 else None
-
-    @property
-    def slope_gain_band(self) -> tuple[Array, Array] | None:
-        """90 % band of the slope gain, as `gain_band`."""
-        folds = [one.slope_gain for one in self.folds]
-        return fold_band(self.model.slope_gain, folds) if len(folds) > 1 else None
-
-    @property
-    def mode_bands(self) -> list[tuple[Array, Array] | None]:
-        """As the function `mode_bands`."""
-        return mode_bands(self.model, self.folds)
+    def band(self, name: Literal["gain", "slope_gain"]) -> tuple[Array, Array] | None:
+        """90 % band of the static gain or the slope gain, ends (ny, nu), by the fold models; None
+        without them."""
+        folds = [getattr(one, name) for one in self.folds]
+        return fold_band(getattr(self.model, name), folds) if len(folds) > 1 else None
 
     @property
     def slowest_band(self) -> tuple[float, float] | None:
@@ -171,14 +160,13 @@ class LinearRun:
         reason = self.no_rest(point)
         if self.is_unstable(point):
             return "gain", stated(0.0, None, unit, reason=reason)
-        if i in self.integrating or (reason and not self.integrating):
-            value, band = point.model.slope_gain[i, j], point.slope_gain_band
-            ends = None if band is None else (float(band[0][i, j]), float(band[1][i, j]))
-            unit = f"{out.unit or '1'}/{into.unit or '1'}/s"
-            return "slope", stated(float(value), ends, unit)
-        band = None if self.integrating else point.gain_band
+        slopes = i in self.integrating or bool(reason and not self.integrating)
+        name = "slope_gain" if slopes else "gain"
+        band = None if self.integrating and not slopes else point.band(name)
         ends = None if band is None else (float(band[0][i, j]), float(band[1][i, j]))
-        return "gain", stated(float(point.model.gain[i, j]), ends, unit)
+        unit = f"{out.unit or '1'}/{into.unit or '1'}/s" if slopes else unit
+        value = float(getattr(point.model, name)[i, j])
+        return "slope" if slopes else "gain", stated(value, ends, unit)
 
 
 def linearize(

@@ -32,7 +32,7 @@ OTHERS = {"pump": "alpha", "valve": "beta", "level": "gamma", "pressure": "delta
 
 @dataclass(frozen=True)
 class Transformation:
-    """Signals that a user could have recorded instead: times factors, plus a shift."""
+    """Signals that a user could have recorded instead: plus a shift, times factors."""
 
     y: tuple[float, float] = (1.0, 1.0)
     u: tuple[float, float] = (1.0, 1.0)
@@ -47,7 +47,7 @@ class Transformation:
         """Inputs and outputs (T, 2) of a record."""
         u, y = record(seed, samples)
         way = -1 if self.permuted else 1
-        return (u * self.u + self.u_shift)[:, ::way], (y * self.y + self.y_shift)[:, ::way]
+        return ((u + self.u_shift) * self.u)[:, ::way], ((y + self.y_shift) * self.y)[:, ::way]
 
     def records(self) -> tuple[list[Array], list[Array]]:
         pairs = [self.record(seed) for seed in ((2, 1) if self.reordered else (1, 2))]
@@ -84,9 +84,10 @@ TRANSFORMATIONS = {
 }
 # A search takes seconds, so that its doors have several changes at once.
 TOGETHER = {
-    "another scale": Transformation(y=(1e-9, 1e6), u=(1e9, 1e-3), time=1e-6, renamed=True),
-    "another origin": Transformation(y_shift=100.0, u_shift=-30.0, time=60.0),
-    "another direction": Transformation(y=(-1.0, 1e12), u=(1.0, -1.0), permuted=True),
+    "another unit": Transformation(
+        (1e-9, 1e6), (1e9, 1e-3), y_shift=100.0, u_shift=-30.0, time=1e-6, renamed=True
+    ),
+    "another direction": Transformation((-1.0, 1e12), (1.0, -1.0), time=60.0, permuted=True),
 }
 
 
@@ -144,12 +145,10 @@ DIMENSIONS = {
     r"(frequency_hz|frequency_band\.\d)$": "/t",
     r"continuous\.(poles|zeros)\.\d\.(real|imag)": "/t",
     r"time_s$": "t",
-    r"\.(gain|slope_gain|numerators)\.(?P<o>\d)\.(?P<i>\d)": "y/u",
-    r"(gain_band|fold_gains)\.\d\.(?P<o>\d)\.(?P<i>\d)": "y/u",
+    r"\.(gain|numerators)\.(?P<o>\d)\.(?P<i>\d)": "y/u",
+    r"fold_gains\.\d\.(?P<o>\d)\.(?P<i>\d)": "y/u",
     r"\.gains\.(?P<o>\d)\.(?P<i>\d)\.(value|interval)": "y/u",
-    r"process_models\.(?P<o>\d)\.(?P<i>\d)\.gain": "y/u",
-    r"process_models\.(?P<o>\d)\.(?P<i>\d)\.(lags|zero|delay)": "t",
-    r"(gains|process_models|delay_samples)\.(?P<o>\d)\.(?P<i>\d)": "",
+    r"(gains|delay_samples)\.(?P<o>\d)\.(?P<i>\d)": "",
     # A controller of the first input for the first output, and the next experiment.
     r"^control\.setpoint": "y0+",
     r"^control\.pid\.Kp": "u0/y0",
@@ -190,7 +189,7 @@ def as_original(document: Any, of: Transformation) -> dict[str, Any]:
     for path, value in leaves(document):
         match, dimension = next(((m, d) for p, d in LAWS if (m := p.search(path))), (None, ""))
         if "@" in dimension and of.u_shift:
-            continue
+            value = ...
         places: dict[str, int] = {}
         for name in match.groupdict() if match is not None else ():
             places[name] = int(match[name])
@@ -217,7 +216,7 @@ def as_original(document: Any, of: Transformation) -> dict[str, Any]:
             value = as_text(value, of)
         elif isinstance(value, float) or (isinstance(value, int) and dimension):
             shift = getattr(of, f"{dimension[0]}_shift") if "+" in dimension else 0.0
-            value = (value - shift) / (abs(factor) if "|" in dimension else factor)
+            value = value / (abs(factor) if "|" in dimension else factor) - shift
         found[path] = value
     return found
 
@@ -226,6 +225,8 @@ def differences(here: dict[str, Any], there: dict[str, Any], tolerance: float) -
     found = [f"{p}: only in one" for p in here.keys() ^ there.keys()]
     for path in here.keys() & there.keys():
         a, b = here[path], there[path]
+        if ... in (a, b):
+            continue
         if isinstance(a, float) and isinstance(b, float):
             if not (abs(a - b) <= tolerance * max(abs(a), abs(b), 1e-3) or (a != a and b != b)):
                 found.append(f"{path}: {a!r} and {b!r}")
@@ -237,7 +238,8 @@ def differences(here: dict[str, Any], there: dict[str, Any], tolerance: float) -
 def as_text(line: str, of: Transformation) -> str:
     """Words of a line without numbers and digests, in an order that no channel decides."""
     back = {new: old for old, new in OTHERS.items()} if of.renamed else {}
-    words = re.sub(r"protocol \w+", "protocol", line).replace(",", " ").split()
+    line = re.sub(r"protocol \w+", "protocol", line).replace(" - ", " + ")
+    words = line.replace(",", " ").split()
     return " ".join(
         sorted(NUMBER.sub("#", re.sub(r"\w+", lambda m: back.get(m[0], m[0]), w)) for w in words)
     )
@@ -337,11 +339,11 @@ def of_run(of: Transformation, folder: Path) -> Any:
     (shown,) = printed("show", directory)
     (control,) = printed(
         "control", directory, "--input", names["pump"], "--output", names["level"],
-        "--setpoint", of.y[0] * 1.5 + of.y_shift, "--out", folder / "control",
+        "--setpoint", of.y[0] * (1.5 + of.y_shift), "--out", folder / "control",
     )  # fmt: skip
     (planned,) = printed("next", directory, "--duration", 60 * STEP * of.time)
     (monitored,) = printed("monitor", directory, file, "--parameter", f"gain({names['pump']})")
-    (linear,) = printed("linear", directory, "--to-tf", "--continuous")
+    (linear,) = printed("linear", directory, "--continuous")
     *checks, end = printed("validate", directory, "--record", file)
     parameters: Any = found.parameters_
     verdict = found.verdict_
@@ -351,7 +353,7 @@ def of_run(of: Transformation, folder: Path) -> Any:
     del linear["drawn"]
     for one in (linear["points"][0], linear["points"][0]["continuous"]):
         for matrix in "ABCD":
-            del one[matrix]
+            one.pop(matrix, None)
     if of.permuted or min(of.y + of.u) < 0:
         # Levels are drawn input by input, from the lower limit up.
         planned = {key: planned[key] for key in ("start", "noise", "experiments")}
@@ -405,7 +407,7 @@ def original(door: str) -> dict[str, Any]:
     return as_original(DOORS[door](Transformation(), Path(mkdtemp())), Transformation())
 
 
-QUICK = {("linear FILE", "another scale"), ("linear FILE", "another direction")}
+QUICK = {("linear FILE", "another direction")}
 CASES = [(door, name) for door in ("check",) for name in TRANSFORMATIONS]
 CASES += [(door, name) for door in ("linear FILE", "linear RESPONSE", "run") for name in TOGETHER]
 

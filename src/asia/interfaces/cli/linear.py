@@ -401,14 +401,11 @@ def _facts(
         "A": model.a, "B": model.b, "C": model.c, "D": model.d,
         **_dynamics(model, point.folds, reason), "delay_samples": _delays(run, model),
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
-        "gains": [[{"kind": kind, **asdict(one)} for kind, one in row] for row in gains],
-        "gain": [[one.value if kind == "gain" else None for kind, one in row] for row in gains],
-        "slope_gain": [
-            [one.value for _, one in row] if row[0][0] == "slope" else None for row in gains
+        "gains": [
+            [{"kind": kind, "text": str(one), **asdict(one)} for kind, one in row] for row in gains
         ],
-        "gain_band": None if reason else point.gain_band,
+        "gain": [[one.value if kind == "gain" else None for kind, one in row] for row in gains],
         "fold_gains": [] if reason else [one.gain for one in folds],
-        "no_gain": reason if unstable else None,
     }  # fmt: skip
     if reduce is not None:
         if reduce != "auto" and not reduce.isdigit():
@@ -570,8 +567,8 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
             late = (
                 "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"
             )
-            kind, gain = run.gain(point, i, j)
-            yield f"{kind:<10}{out.name} by {into.name}: {gain}, {late}"
+            gain = facts["gains"][i][j]
+            yield f"{gain['kind']:<10}{out.name} by {into.name}: {gain['text']}, {late}"
             if "process_models" in facts and facts["process_models"][i][j]:
                 one = facts["process_models"][i][j]
                 yield f"process   {out.name} by {into.name}: {one['text']}, fit {one['fit']:.1f} %"
