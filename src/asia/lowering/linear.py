@@ -171,7 +171,8 @@ class LinearModel:
 
     def mode_shares(self) -> list[float]:
         """Part of each mode of `modes` in the step response over the largest part of a mode, for
-        the input and output where this is greatest: 0 where a zero cancels the pole."""
+        the input and output where this is greatest: 0 where a zero cancels the pole; nan of a pole
+        without dynamics, whose modes rounding decides."""
         from scipy.linalg import eig
 
         if not self.order:
@@ -179,14 +180,21 @@ class LinearModel:
         found: Any = eig(self.a, left=True, right=True)
         poles, left, right = found
         sizes: list[Array] = []
+        if self.sampling_time:
+            moves = np.abs(poles) >= _NO_DYNAMICS
+            poles, left, right = poles[moves], left[:, moves], right[:, moves]
         for k, pole in enumerate(poles):
             w, v = left[:, k].conj(), right[:, k]
             rest = abs(pole - 1.0) if self.sampling_time else abs(pole)
-            norm = max(abs(w @ v) * max(rest, _INTEGRATOR), 1e-300)
+            norm = max(abs(w @ v) * max(rest, _INTEGRATOR * self._rate), 1e-300)
             sizes.append(np.abs(np.outer(self.c @ v, w @ self.b)) / norm)
         largest = np.maximum(np.max([*sizes, np.abs(self.d)], axis=0), 1e-300)
         shares = [float((one / largest).max(initial=0.0)) for one in sizes]
-        return [shares[int(np.argmin(np.abs(poles - mode[0])))] for mode in self.modes()]
+        return [
+            math.nan if self.sampling_time and not pole
+            else shares[int(np.argmin(np.abs(poles - pole)))]
+            for pole, *_ in self.modes()
+        ]  # fmt: skip
 
     def response(self, frequencies: Array) -> ComplexArray:
         """Frequency response (F, ny, nu) at `frequencies` in Hz, complex."""

@@ -149,6 +149,7 @@ DIMENSIONS = {
     r"fold_gains\.\d\.(?P<o>\d)\.(?P<i>\d)": "y/u",
     r"\.gains\.(?P<o>\d)\.(?P<i>\d)\.(value|interval)": "y/u",
     r"(gains|delay_samples)\.(?P<o>\d)\.(?P<i>\d)": "",
+    r"^gain\.0": "@",
     # A controller of the first input for the first output, and the next experiment.
     r"^control\.setpoint": "y0+",
     r"^control\.pid\.Kp": "u0/y0",
@@ -371,7 +372,7 @@ def of_run(of: Transformation, folder: Path) -> Any:
         },
         "show": {**shown, "parameters": _by_name(shown["parameters"], "name")},
         "validate": {**{one["check"]: one for one in checks}, "end": end},
-        "export": json.loads((exported.folder / "model.json").read_text()),
+        "export": json.loads((exported.folder / "model.json").read_text().replace(name, "run")),
         "control": control, "next": planned, "linear": linear,
         "monitor": {key: monitored[key] for key in ("valid", "alarms", "nis_inside", "threshold")},
         "gain": list(monitored["parameters"].values()),

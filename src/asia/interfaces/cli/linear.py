@@ -488,7 +488,9 @@ def _dynamics(
 
 def _hidden(share: float) -> str:
     """Reason that a mode has no time constant; "" where it has."""
-    return "" if share >= _LEAST_SHARE else f"{share:.1%} of the response, a zero nearly cancels it"
+    return (
+        "" if not share < _LEAST_SHARE else f"{share:.1%} of the response, a zero nearly cancels it"
+    )
 
 
 def _fitted(
