@@ -240,7 +240,7 @@ def as_text(line: str, of: Transformation) -> str:
     """Words of a line without numbers and digests, in an order that no channel decides."""
     back = {new: old for old, new in OTHERS.items()} if of.renamed else {}
     line = re.sub(r"protocol \w+", "protocol", line).replace(" - ", " + ")
-    words = line.replace(",", " ").split()
+    words = re.sub(r"[(),:;]", " ", line).split()
     return " ".join(
         sorted(NUMBER.sub("#", re.sub(r"\w+", lambda m: back.get(m[0], m[0]), w)) for w in words)
     )
