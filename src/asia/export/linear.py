@@ -271,6 +271,7 @@ class StepModels:
     notes: tuple[str, ...]
     """Sentences on the choice."""
     experiment: int
+    """Number of the experiment of these models."""
     problem: Problem
     evaluator: Evaluator
     own: LoweredModel

@@ -281,14 +281,6 @@ def test_the_verdict_is_the_same(kind: str, made: Callable[[str], Doors]) -> Non
 
 # One refit of the library: its parameters, poles, gains and noise.
 
-PHYSICS = {
-    "states": ["x"],
-    "parameters": {"tau": {"min": 0.1, "max": 20.0}, "gain": {"min": 0.1, "max": 10.0}},
-    "dynamics": {"x": "(gain*pump - x)/tau"},
-    "observation": {"level": "x"},
-}
-REFITS: dict[str, dict[str, Any] | None] = {"linear": None, "equations": PHYSICS}
-
 
 @dataclass(frozen=True)
 class Refit:
@@ -305,17 +297,17 @@ class Refit:
     page: str
 
 
-@pytest.fixture(scope="module", params=REFITS)
-def refit(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Refit:
+@pytest.fixture(scope="module")
+def refit(tmp_path_factory: pytest.TempPathFactory) -> Refit:
     root = tmp_path_factory.mktemp("refit")
     rng = np.random.default_rng(1)
     u, y = np.repeat(rng.normal(size=60), 4), np.zeros(240)
     for k in range(1, 240):
         y[k] = 0.8 * y[k - 1] + 0.4 * u[k - 1]
     y += 0.02 * rng.normal(size=240)
-    found = asia.SystemIdentifier(
-        1, runs=root, progress=False, budget={"retests": 0}, physics=REFITS[request.param]
-    ).fit(u, y, sampling_time=0.5, inputs=["pump"], outputs=["level"])
+    found = asia.SystemIdentifier(1, runs=root, progress=False, budget={"retests": 0}).fit(
+        u, y, sampling_time=0.5, inputs=["pump"], outputs=["level"]
+    )
     directory = found.run_.directory
 
     def printed(*words: object) -> str:
@@ -357,13 +349,9 @@ def test_parameters_have_one_value_and_one_interval(refit: Refit) -> None:
 def test_the_linear_model_is_that_of_the_refit(refit: Refit) -> None:
     (point,) = refit.linear["points"]
     parameters = {one["name"]: one["value"] for one in refit.shown["parameters"]}
-    step, tau = point["sampling_time"], parameters.get("tau")
-    gain = parameters.get("gain", parameters.get("gain y1/u1"))
+    step, gain = point["sampling_time"], parameters["gain y1/u1"]
     times = [one["time_s"] for one in point["poles"] if one["time_s"] is not None]
-    if tau is None:
-        tau = step * parameters["time constant 1 [samples]"]
-        assert point["order"] == parameters["order [states]"]
-    assert times[0] == pytest.approx(tau, rel=1e-6)
+    assert times[0] == pytest.approx(step * parameters["time constant 1 [samples]"], rel=1e-6)
     assert point["gain"][0][0] == pytest.approx(gain, rel=1e-6)
     assert refit.exported["sampling_time"] == step == refit.planned["sampling_time"]
     assert f"sampling time {step:g} s" in "\n".join(refit.linear["text"])
