@@ -288,7 +288,7 @@ def _step_figures(
     weight |= ~weight.any(axis=1, keepdims=True)
     slow = np.where(weight, np.abs(poles.real), math.inf).min(axis=1)
     fast = np.where(weight, np.abs(poles), 0.0).max(axis=1)
-    span = np.clip(8.0 / slow, 1e-9, 1e9)
+    span = 8.0 / np.maximum(slow, 1e-12 * fast)
     # Fast modes end long before the slow ones, so the first part is logarithmic. The second one is
     # uniform: a product of a coarse and a fine part.
     first = np.clip(0.05 / fast, 1e-7 * span, 1e-3 * span)
@@ -692,7 +692,7 @@ class SampledController:
         integral action the input has no such states, and they are 0."""
         n = len(self.c)
         left = np.eye(n) - self.a
-        if not n or np.linalg.cond(left) > 1e12:
+        if not n or np.abs(np.linalg.eigvals(left)).min() < 1e-9:
             return np.zeros(n)
         x = np.linalg.solve(left, self.b[:, 2])
         holds = abs(float(self.c @ x) - 1.0) < 1e-6
@@ -828,6 +828,9 @@ def sampled(
 
 # The simulated loop.
 
+# Distance from the operating point, in steps of the set point, from which a response diverges.
+_DIVERGED = 1e12
+
 
 @dataclass(frozen=True)
 class SimulatedPlant:
@@ -908,12 +911,13 @@ def simulate_loop(
     """
     y, u = np.full(len(r), math.nan), np.full(len(r), math.nan)
     states, last, code = list(plant.starts), controller.u0, controller.started()
+    most = _DIVERGED * float(np.abs(r - controller.y0).max()) or math.inf
     for k, target in enumerate(r):
         seen = fmean(one(s, last)[0] for one, s in zip(plant.steps, states, strict=True))
         last = float(code.step(float(target), seen + (0.0 if noise is None else float(noise[k]))))
         found = [one(s, last) for one, s in zip(plant.steps, states, strict=True)]
         after, states = fmean(one[0] for one in found), [one[1] for one in found]
-        if not (np.isfinite(after) and np.isfinite(last) and abs(after) < 1e12):
+        if not (np.isfinite(after) and np.isfinite(last) and abs(after - controller.y0) < most):
             break
         y[k], u[k] = after, last
     return y, u
@@ -955,7 +959,7 @@ def response_figures(
     rise = time * float(reached[1][0] - reached[0][0]) if len(reached[1]) else math.inf
     outside = np.flatnonzero(np.abs(way - 1.0) > _BAND)
     settled = 0 if not len(outside) else int(outside[-1]) + 1
-    at = np.minimum(u - controller.low, controller.high - u) <= 1e-9 * np.abs(u)
+    at = np.minimum(u - controller.low, controller.high - u) <= 1e-9 * np.ptp(u)
     size, t = np.abs(error), time * np.arange(len(y))
     return ResponseFigures(
         rise, time * settled if settled < len(y) else math.inf,

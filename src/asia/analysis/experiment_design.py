@@ -546,12 +546,9 @@ def next_experiment(
     values = {e.number: e.score.value for e in leading if e.score is not None}
 
     basis = band_basis(evaluator, view, run.store, "ensemble")
-    errors = [np.concatenate(fold.blocks) for fold in basis.errors]
-    changes = np.concatenate([np.diff(one, axis=0) for one in errors])
-    noise = np.nanstd(changes, axis=0) / math.sqrt(2.0)
     spread = evaluator.data.scale
-    noise = np.maximum(noise, 1e-6 * spread)
-    zero = np.zeros((len(errors), 1, len(spread)))
+    noise = np.maximum(basis.noise, 1e-6 * spread)
+    zero = np.zeros((len(basis.errors), 1, len(spread)))
     reach = output_bands(error_sizes(basis.errors), zero, _LEVEL).upper
     rule, done = problem.protocol, problem.preprocess
     before = rule.past_inputs * done.decimate + done.longest_delay

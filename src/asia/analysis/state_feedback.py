@@ -137,15 +137,16 @@ class _Synthesis:
     def __init__(self, plant: ControlledPlant, pace: float) -> None:
         a, b, c = plant.a, plant.b, plant.c
         n = len(a)
-        whole = np.block([[a - np.eye(n), b], [c, np.zeros((1, 1))]])
+        into, out = (max(float(np.linalg.norm(part)), 1e-300) for part in (b, c))
+        whole = np.block([[a - np.eye(n), b / into], [c / out, np.zeros((1, 1))]])
         if np.linalg.cond(whole) > 1e12:
             raise UserError(
                 "a constant input does not move the output: no controller with integral action "
                 "holds a set point"
             )
         # States and input that hold the output 1.
-        target = np.linalg.solve(whole, np.append(np.zeros(n), 1.0))
-        self.plant, self.rest, self.hold = plant, target[:n], float(target[n])
+        target = np.linalg.solve(whole, np.append(np.zeros(n), 1.0 / out))
+        self.plant, self.rest, self.hold = plant, target[:n], float(target[n]) / into
         # Squared gain at the pace of the loop, in rad a sample.
         there = c @ np.linalg.solve(np.exp(1j * pace) * np.eye(n) - a, b + 0j)
         self.size = max(float(np.abs(there[0, 0])) ** 2, 1e-300)

@@ -468,6 +468,7 @@ class _Validation:
             highest=y.max(axis=0),
             noise=noise,
             long_run=lambda: long_run(given, self.evaluator.data.horizon, simulator),
+            fit=self.best.fit,
         )
         checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
         for name, check in tracked(tuple(validation_checks().items()), "check"):

@@ -402,7 +402,7 @@ class _Data:
         quick = [self.improved(one, 4) for one in starts]
         here = self.improved(min(quick, key=lambda one: one.squares))
         places = here.slices()
-        for place in (p.stop - 1 for p in places):
+        for place in (places[j].stop - 1 for j in self._by_effect(here)):
             for move in (-1.0, 1.0):
                 phi = here.phi.copy()
                 phi[place] += move
@@ -412,6 +412,13 @@ class _Data:
                 if tried.squares < here.squares * (1.0 - 1e-6):
                     here = self.improved(tried, 12)
         return here
+
+    def _by_effect(self, at: _State) -> list[int]:
+        """Numbers of the moving inputs, that with the largest effect first: no search depends on
+        the order of the channels."""
+        parts = self._parts(at, self._solved(at)[1])
+        sizes = [float(np.concatenate(part).std()) for part in parts]
+        return sorted(range(len(sizes)), key=lambda j: -sizes[j])
 
     def _whitened(self, at: _State) -> _State:
         """The state with the noise's filter estimated from its errors, then improved."""
@@ -479,15 +486,16 @@ class _Data:
         lags, delays = np.full(len(structures), shares[0]), np.zeros(len(structures))
         simple = [replace(s, lags=1, zero=False) if s.lags else s for s in structures]
         parts: list[list[Array] | None] = [None] * len(structures)
-        # The greatest first, then each again beside the others.
+        # The greatest first, then each again beside the others, in the same order.
+        ranked: list[int] = []
         for turn in range(2 if len(structures) > 1 else 1):
-            left = list(range(len(structures))) if turn == 0 else []
-            order = left or list(range(len(structures)))
+            order = list(ranked or range(len(structures)))
             while order:
-                others = [p for k, p in enumerate(parts) if p is not None and k not in order[:1]]
                 candidates = order if turn == 0 else order[:1]
-                if turn == 1:
-                    others = [p for k, p in enumerate(parts) if p is not None and k != order[0]]
+                others = [
+                    p for k, p in enumerate(parts)
+                    if p is not None and (turn == 0 or k != order[0])
+                ]  # fmt: skip
                 found = [
                     (self._scan(j, simple[j], shares, others, integrator=integrator), j)
                     for j in candidates
@@ -497,6 +505,7 @@ class _Data:
                 phi = (math.log(lag), float(delay)) if simple[j].lags else (float(delay),)
                 parts[j] = [c[:, 0] for c in self._columns(j, simple[j], phi)]
                 order.remove(j)
+                ranked += [j] * (turn == 0)
 
         def made(split: float) -> _State:
             phi: list[float] = []
@@ -570,7 +579,7 @@ class _Data:
         while progress:
             progress = False
             acting = self._acting(best)
-            for j in range(len(best.structures)):
+            for j in self._by_effect(best):
                 for larger in _LARGER.get(best.structures[j], ()):
                     if (j, larger) in refused or not acting[j]:
                         continue

@@ -23,7 +23,6 @@ from asia.lowering.linear import (
     LinearModel,
     OperatingPoint,
     fold_band,
-    is_integrating,
     joined,
     linearised,
     operating_points,
@@ -34,12 +33,15 @@ from asia.lowering.program import LoweredModel
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.search.run import LOCK, make_evaluator
-from asia.search.simulation import final_members, fold_models, loading_stored_models
+from asia.search.simulation import (
+    band_basis,
+    final_members,
+    fold_models,
+    loading_stored_models,
+)
 
 _STARTS = 4
 _WALK = 2_000
-# Samples of a training window whose residuals give the noise.
-_NOISE = 500
 
 
 @dataclass(frozen=True)
@@ -57,22 +59,11 @@ class LinearPoint:
     steps: tuple[tuple[LoweredModel, OperatingPoint], ...] = ()
     """The nonlinear models of `model` and `folds` with their operating points."""
 
-    @property
-    def gain_band(self) -> tuple[Array, Array] | None:
-        """90 % band of the static gain, ends (ny, nu), by the fold models; None without them."""
-        folds = [one.gain for one in self.folds]
-        return fold_band(self.model.gain, folds) if len(folds) > 1 else None
-
-    @property
-    def slope_gain_band(self) -> tuple[Array, Array] | None:
-        """90 % band of the slope gain, as `gain_band`."""
-        folds = [one.slope_gain for one in self.folds]
-        return fold_band(self.model.slope_gain, folds) if len(folds) > 1 else None
-
-    @property
-    def mode_bands(self) -> list[tuple[Array, Array] | None]:
-        """As the function `mode_bands`."""
-        return mode_bands(self.model, self.folds)
+    def band(self, name: Literal["gain", "slope_gain"]) -> tuple[Array, Array] | None:
+        """90 % band of the static gain or the slope gain, ends (ny, nu), by the fold models; None
+        without them."""
+        folds = [getattr(one, name) for one in self.folds]
+        return fold_band(getattr(self.model, name), folds) if len(folds) > 1 else None
 
     @property
     def slowest_band(self) -> tuple[float, float] | None:
@@ -136,10 +127,9 @@ class LinearRun:
     integrating: tuple[int, ...]
     """Numbers of the outputs that integrate, by the training records."""
     noise: Array
-    """Standard deviation (ny,) of the measurement noise: of the changes of the residuals from
-    sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
+    """Standard deviation (ny,) of the measurement noise."""
     fit: float | None = None
-    """100 (1 - V) of the best experiment, in percent."""
+    """Fit of the experiment in percent."""
 
     def is_unstable(self, point: LinearPoint) -> bool:
         """Whether a mode grows, in the model or in the records."""
@@ -151,7 +141,7 @@ class LinearRun:
         """Reason that the plant has no resting point and no static gain there; "" where it has."""
         if self.is_unstable(point):
             return "the plant is unstable"
-        if self.integrating or is_integrating(point.model):
+        if self.integrating or point.model.is_integrating:
             return "the plant integrates"
         band = point.slowest_band
         if band is not None and band[1] >= 1.0:
@@ -170,14 +160,13 @@ class LinearRun:
         reason = self.no_rest(point)
         if self.is_unstable(point):
             return "gain", stated(0.0, None, unit, reason=reason)
-        if i in self.integrating or (reason and not self.integrating):
-            value, band = point.model.slope_gain[i, j], point.slope_gain_band
-            ends = None if band is None else (float(band[0][i, j]), float(band[1][i, j]))
-            unit = f"{out.unit or '1'}/{into.unit or '1'}/s"
-            return "slope", stated(float(value), ends, unit)
-        band = None if self.integrating else point.gain_band
+        slopes = i in self.integrating or bool(reason and not self.integrating)
+        name = "slope_gain" if slopes else "gain"
+        band = None if self.integrating and not slopes else point.band(name)
         ends = None if band is None else (float(band[0][i, j]), float(band[1][i, j]))
-        return "gain", stated(float(point.model.gain[i, j]), ends, unit)
+        unit = f"{out.unit or '1'}/{into.unit or '1'}/s" if slopes else unit
+        value = float(getattr(point.model, name)[i, j])
+        return "slope" if slopes else "gain", stated(value, ends, unit)
 
 
 def linearize(
@@ -224,16 +213,6 @@ def linearize(
             made.append(joined(evaluate(of.initial, [held, past_y, u[0]])))
         return made
 
-    changes: list[Array] = []
-    for block, x in zip(blocks, starts(own), strict=True):
-        residuals: list[Array] = []
-        for u, y in zip(block.case.u[:_NOISE], block.y[:_NOISE], strict=True):
-            seen, *states = evaluate(own.step, [*split(own, x), u])
-            residuals.append(y - seen)
-            x = joined(states)
-        changes.append(np.diff(residuals, axis=0))
-    apart = np.concatenate(changes)
-    noise = np.array([np.std(one[np.isfinite(one)]) / np.sqrt(2.0) for one in apart.T])
     points: list[LinearPoint] = []
     signals = problem.inputs, problem.outputs
     for asked in tracked(at or ("mean",), "operating point"):
@@ -275,11 +254,11 @@ def linearize(
             label = name if len(there) == 1 else f"{name} ({place})"
             rests = bool(np.isfinite(point.residual))
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
-    best = opened.view.best
+    noise = band_basis(evaluator, opened.view, opened.store, "ensemble").noise
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
         tuple(records), problem.responses, integrating(records), noise,
-        None if best is None or best.score is None else 100.0 * (1.0 - best.score.value),
+        opened.view.experiment(found.experiment).fit,
     )  # fmt: skip
 
 
@@ -291,6 +270,8 @@ class StepModels:
     """`refit`, or the number of an experiment, whose first fold model is the one."""
     notes: tuple[str, ...]
     """Sentences on the choice."""
+    experiment: int
+    """Number of the experiment of these models."""
     problem: Problem
     evaluator: Evaluator
     own: LoweredModel
@@ -326,7 +307,9 @@ def step_models(
         if isinstance(one, str):
             raise UserError(f"run '{run.name}': the model cannot be lowered to steps: {one}")
         lowered.append(one)
-    return StepModels(use, tuple(notes), problem, evaluator, lowered[0], tuple(lowered[1:]))
+    return StepModels(
+        use, tuple(notes), best.number, problem, evaluator, lowered[0], tuple(lowered[1:])
+    )
 
 
 def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:

@@ -618,7 +618,7 @@ class IdentifiedModel:
     source: str = FITTED
     """As in `EstimatedModel`."""
     fit: float | None = None
-    """100 (1 - V) of the winner, in percent."""
+    """Fit of the winner in percent."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -691,10 +691,9 @@ def identified(run: Run) -> IdentifiedModel | None:
     findings = findings_of(run.store, run.view.experiment(refitted.experiment), bounded=False)
     tables = [dict(one.parameters) for one in findings]
     rows = with_fold_values(fitted, tables, jackknife=not one_sided)
-    score = run.view.experiment(refitted.experiment).score
     return IdentifiedModel(
         refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library,
-        fitted.reason, fitted.source, None if score is None else 100.0 * (1.0 - score.value),
+        fitted.reason, fitted.source, run.view.experiment(refitted.experiment).fit,
     )  # fmt: skip
 
 

@@ -147,7 +147,7 @@ def control_text(found: Control, start: Started) -> str:
             "not run yet; to run the expert, which needs no language model, at the same budget: "
             f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
         )
-    value = "no score" if found.value is None else f"V={found.value:.4f}"
+    value = "no score" if found.value is None else f"V={error_value(found.value)}"
     return f"expert, the same {found.experiments} experiments: {value} ({found.run})"
 
 

@@ -80,6 +80,11 @@ class Experiment:
         return self.score.value if self.score else None
 
     @property
+    def fit(self) -> float | None:
+        """100 (1 - V) in percent, when there is a score."""
+        return 100.0 * (1.0 - self.score.value) if self.score else None
+
+    @property
     def failure(self) -> Failure | None:
         """The failure, when there is one."""
         outcome = self.result.outcome if self.result else None

@@ -10,7 +10,7 @@ error bound); Seborg et al., Process Dynamics and Control, chapter 5 (process mo
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from asia.lowering.program import LoweredModel
 ComplexArray: TypeAlias = NDArray[np.complex128]
 # Hankel singular values below this share of the largest one belong to states without effect.
 _NEGLIGIBLE = 1e-9
+# Share of the largest coefficient of a transfer function below which the first ones are rounding.
+_ROUNDING = 1e-9
 # Distance of a pole from 1 at which the linear model counts as an integrator.
 _INTEGRATOR = 1e-6
 # Size of a discrete pole below which it holds past samples, within the error of a multiple
@@ -66,27 +68,36 @@ class LinearModel:
         size = np.real(found) if self.sampling_time == 0 else np.abs(found)
         return found[np.argsort(-size, kind="stable")]
 
+    def _normalised(self) -> tuple[list[Array], Array]:
+        """A, B, C and D in units of the rate and of the signals, so that rounding is alike in all
+        units; and the units (ny, nu) of the response."""
+        sizes = [np.linalg.norm(self.b, axis=0), np.linalg.norm(self.c, axis=1)]
+        into, out = (np.where(one > 0, one, 1.0) for one in sizes)
+        unit = np.outer(out, into) / self._rate
+        return [self.a / self._rate, self.b / into, self.c / out[:, None], self.d / unit], unit
+
     @property
     def zeros(self) -> ComplexArray:
-        """Invariant zeros, complex, of a system with as many inputs as outputs; else empty."""
-        if self.b.shape[1] != len(self.c):
+        """Invariant zeros, complex, the smallest first, of a system with as many inputs as outputs;
+        else empty."""
+        if not self.b.shape[1] == len(self.c) > 0:
             return np.zeros(0, np.complex128)
         from scipy.linalg import eig
 
-        n, m = self.order, self.b.shape[1]
-        pencil = np.block([[self.a, self.b], [self.c, self.d]])
+        n, ((a, b, c, d), _) = self.order, self._normalised()
+        pencil = np.block([[a, b], [c, d]])
         mass = np.zeros_like(pencil)
         mass[:n, :n] = np.eye(n)
         found = np.asarray(eig(pencil, mass, right=False), np.complex128)
-        found = found[np.isfinite(found) & (np.abs(found) < 1e8 * self._rate)]
-        return found if m else np.zeros(0, np.complex128)
+        found = self._rate * found[np.isfinite(found) & (np.abs(found) < 1e8)]
+        return found[np.lexsort((-found.imag, np.abs(found).round(12)))]
 
     @property
     def gain(self) -> Array:
         """Static gain (ny, nu); infinite with an integrator."""
-        rest = -self.a if self.sampling_time == 0 else np.eye(self.order) - self.a
-        if self.order and np.linalg.cond(rest) > 1.0 / _INTEGRATOR**1.5:
+        if self.is_integrating:
             return np.full_like(self.d, np.inf)
+        rest = -self.a if self.sampling_time == 0 else np.eye(self.order) - self.a
         return self.c @ np.linalg.solve(rest, self.b) + self.d
 
     @property
@@ -104,6 +115,11 @@ class LinearModel:
     def integrates(self, pole: complex) -> bool:
         """Return whether a pole is an integrator."""
         return abs(pole - (1.0 if self.sampling_time else 0.0)) < _INTEGRATOR * self._rate
+
+    @property
+    def is_integrating(self) -> bool:
+        """Whether a pole is an integrator."""
+        return any(map(self.integrates, self.poles.tolist()))
 
     @property
     def slope_gain(self) -> Array:
@@ -155,7 +171,8 @@ class LinearModel:
 
     def mode_shares(self) -> list[float]:
         """Part of each mode of `modes` in the step response over the largest part of a mode, for
-        the input and output where this is greatest: 0 where a zero cancels the pole."""
+        the input and output where this is greatest: 0 where a zero cancels the pole; nan of a pole
+        without dynamics, whose modes rounding decides."""
         from scipy.linalg import eig
 
         if not self.order:
@@ -163,14 +180,21 @@ class LinearModel:
         found: Any = eig(self.a, left=True, right=True)
         poles, left, right = found
         sizes: list[Array] = []
+        if self.sampling_time:
+            moves = np.abs(poles) >= _NO_DYNAMICS
+            poles, left, right = poles[moves], left[:, moves], right[:, moves]
         for k, pole in enumerate(poles):
             w, v = left[:, k].conj(), right[:, k]
             rest = abs(pole - 1.0) if self.sampling_time else abs(pole)
-            norm = max(abs(w @ v) * max(rest, _INTEGRATOR), 1e-300)
+            norm = max(abs(w @ v) * max(rest, _INTEGRATOR * self._rate), 1e-300)
             sizes.append(np.abs(np.outer(self.c @ v, w @ self.b)) / norm)
         largest = np.maximum(np.max([*sizes, np.abs(self.d)], axis=0), 1e-300)
         shares = [float((one / largest).max(initial=0.0)) for one in sizes]
-        return [shares[int(np.argmin(np.abs(poles - mode[0])))] for mode in self.modes()]
+        return [
+            math.nan if self.sampling_time and not pole
+            else shares[int(np.argmin(np.abs(poles - pole)))]
+            for pole, *_ in self.modes()
+        ]  # fmt: skip
 
     def response(self, frequencies: Array) -> ComplexArray:
         """Frequency response (F, ny, nu) at `frequencies` in Hz, complex."""
@@ -180,6 +204,11 @@ class LinearModel:
         return np.stack(
             [self.c @ np.linalg.solve(one * eye - self.a, self.b) + self.d for one in z]
         )
+
+    def scaled(self, u: Array, y: Array) -> Self:
+        """The model of inputs and outputs in units of these sizes (nu,) and (ny,)."""
+        b, c, d = self.b * u, self.c / y[:, None], self.d * u / y[:, None]
+        return replace(self, b=b, c=c, d=d, u0=self.u0 / u, y0=self.y0 / y)
 
     def step_response(self, samples: int) -> Array:
         """Response (samples, ny, nu) of a discrete model to a unit step of each input."""
@@ -211,14 +240,27 @@ class LinearModel:
 
     def numerator(self) -> tuple[list[Array], Array]:
         """Transfer functions of all inputs to all outputs: numerators, one array (nu, n + 1) an
-        output, and the common denominator (n + 1,), the highest power first."""
+        output, and the common denominator (n + 1,), the highest power first. Coefficients of the
+        size of rounding are 0."""
         from scipy.signal import ss2tf
 
-        found = [ss2tf(self.a, self.b, self.c, self.d, j) for j in range(self.b.shape[1])]
+        (a, b, c, d), unit = self._normalised()
+        # Coefficients have the unit of a power of the rate. Slow modes make the last ones small.
+        powers = self._rate ** np.arange(self.order + 1.0)
+        least = _ROUNDING / 1e3 if self.sampling_time else 0.0
+
+        def cleaned(values: Array) -> Array:
+            size = np.abs(values) / max(float(np.abs(values).max()), 1e-300)
+            first = np.maximum.accumulate(size) > _ROUNDING
+            return np.where(first & (size > least), values, 0.0)
+
+        found = [ss2tf(a, b, c, d, j) for j in range(b.shape[1])]
         numerators = [
-            np.stack([np.atleast_2d(num)[i] for num, _ in found]) for i in range(len(self.c))
-        ]
-        return numerators, np.asarray(found[0][1])
+            np.stack([cleaned(np.atleast_2d(num)[i]) for num, _ in found])
+            * unit[i][:, None] * powers
+            for i in range(len(c))
+        ]  # fmt: skip
+        return numerators, cleaned(np.asarray(found[0][1])) * powers
 
 
 # Operating points.
@@ -289,9 +331,12 @@ def operating_points(
             if y is None:
                 matrix = matrix[:, :n]
             else:
-                wrong = np.concatenate([wrong, outputs - y])
-                matrix = np.vstack([matrix, slopes[: model.ny]])
-            move = np.asarray(np.linalg.lstsq(matrix, -wrong, rcond=1e-12)[0], np.float64)
+                wrong = np.concatenate([wrong, (outputs - y) / level])
+                matrix = np.vstack([matrix, slopes[: model.ny] / level[:, None]])
+            # States and inputs have units of their own.
+            units = np.linalg.norm(matrix, axis=0)
+            units[units == 0.0] = 1.0
+            move = np.linalg.lstsq(matrix / units, -wrong, rcond=1e-12)[0] / units
             if not np.isfinite(move).all():
                 break
             x = x + move[:n]
@@ -306,6 +351,7 @@ def operating_points(
         [evaluate(model.step, [*split(model, one), u])[0] for one in starts]
         + ([] if y is None else [y])
     ).max(axis=0)
+    level[level == 0.0] = 1.0
     for start in starts:
         x, inputs = start, np.array(u, np.float64)
         # Newton's method ends the settling, unless it leads away from where that goes.
@@ -355,7 +401,9 @@ def minimal(model: LinearModel) -> LinearModel:
 
     def reachable(a: Array, b: Array) -> Array:
         """Orthonormal basis (n, r) of the states that the inputs reach."""
-        basis, part = np.zeros((len(a), 0)), b / max(float(np.abs(b).max(initial=0.0)), 1e-300)
+        # Each signal counts by its own unit.
+        sizes = np.abs(b).max(axis=0, initial=0.0)
+        basis, part = np.zeros((len(a), 0)), b / np.where(sizes > 0, sizes, 1.0)
         while part.size and basis.shape[1] < len(a):
             part = part - basis @ (basis.T @ part)
             part = part - basis @ (basis.T @ part)
@@ -567,12 +615,15 @@ def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessMod
     size = float(np.linalg.norm(y - y.mean()))
     if size <= 0 or len(t) < 4:
         raise UserError("the step response does not change: there is no process model")
-    span, every = float(t[-1]), float(np.diff(t).min())
+    # Differences of a fit need numbers of the size of 1: time in samples, y over its size.
+    every = float(np.diff(t).min())
+    t, y = t / every, y / size
+    span, rate = float(t[-1]), every if integrator else 1.0
     best: tuple[float, ProcessModel] | None = None
     for lags, zero in ((1, False), (2, False), (2, True), (3, False), (3, True)):
         here: tuple[float, ProcessModel] | None = None
         for share in (0.03, 0.1, 0.3):
-            for dead in (0.0, 2.0 * every):
+            for dead in (0.0, 2.0):
                 final = float(y[-1]) / (span if integrator else 1.0)
                 start = [final, *(np.log(share * span / (k + 1.0)) for k in range(lags)), dead]
                 start += [0.0] * zero
@@ -581,12 +632,12 @@ def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessMod
                     times = tuple(float(one) for one in np.exp(np.clip(z[1 : lags + 1], -30, 30)))
                     lead = float(z[lags + 2]) if zero else 0.0
                     late = float(abs(z[lags + 1]))
-                    late = 0.0 if late < 1e-3 * every else late
+                    late = 0.0 if late < 1e-3 else late
                     ordered = tuple(sorted(times, reverse=True))
                     return ProcessModel(float(z[0]), ordered, lead, late, integrator, 0.0)
 
                 def error(z: Array, of: Any = model) -> Array:
-                    return (of(z).step(t) - y) / size
+                    return of(z).step(t) - y
 
                 found = least_squares(error, start, x_scale="jac", max_nfev=300)
                 left = float(np.linalg.norm(found.fun))
@@ -597,7 +648,11 @@ def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessMod
         if best is not None and best[0] < _CLOSE:
             break
     assert best is not None
-    return best[1]
+    one = best[1]
+    return replace(
+        one, gain=one.gain * size / rate, lags=tuple(every * lag for lag in one.lags),
+        zero=every * one.zero, delay=every * one.delay,
+    )  # fmt: skip
 
 
 def settling_samples(model: LinearModel, most: int = 5_000) -> int:
@@ -634,17 +689,12 @@ def discretize(a: Array, b: Array, time: float) -> tuple[Array, Array]:
 
 def largest_gain(model: LinearModel) -> float:
     """Largest singular value of the frequency response; infinite with an integrator."""
-    if is_integrating(model):
+    if model.is_integrating:
         return math.inf
     peaks = [f for _, f, z, _ in model.modes() if np.isfinite(f) and abs(z) < 1]
     peaks = [f for f in peaks if f < 0.5 / model.sampling_time]
     at = np.concatenate([[0.0], corner_frequencies(model), peaks])
     return float(np.linalg.svd(model.response(at), compute_uv=False).max(initial=0.0))
-
-
-def is_integrating(model: LinearModel) -> bool:
-    """Whether a pole lies at 1."""
-    return bool((np.abs(model.poles - 1.0) < _INTEGRATOR).any())
 
 
 def corner_frequencies(model: LinearModel, points: int = 300) -> Array:

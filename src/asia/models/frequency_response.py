@@ -124,6 +124,13 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
     Raises:
         UserError: for an order that the frequencies do not determine
     """
+    # Responses are about 1 in these units of the outputs and inputs.
+    sizes = np.sqrt((np.abs(record.response) ** 2).mean(axis=0))
+    levels = np.log(np.where(sizes > 0, sizes, 1.0))
+    y, u = np.exp(levels.mean(axis=1)), np.exp(levels.mean(axis=0) - levels.mean())
+    units = y[:, None] * u
+    variance = None if record.variance is None else record.variance / units**2
+    scaled = replace(record, response=record.response / units, variance=variance)
     w = 2.0 * math.pi * record.frequency
     s = np.asarray(1j * w, np.complex128)
     # Continuous time: the bilinear map to the unit circle, around the middle of the frequencies.
@@ -133,9 +140,9 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
         np.exp(s * record.sampling_time) if record.sampling_time
         else (1.0 + s / middle) / (1.0 - s / middle)
     )  # fmt: skip
-    weight = response_weight(record)
+    weight = response_weight(scaled)
     p = z if record.sampling_time else s / middle
-    data = _Data(z, p, s, record.response, weight)
+    data = _Data(z, p, s, scaled.response, weight)
     _, ny, nu = record.response.shape
     most = min(_LARGEST, len(w) * min(ny, nu) // 4)
     if order is not None and not 1 <= order <= most:
@@ -143,7 +150,7 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
     number = np.arange(len(w))
     coarse = data.at(number % max(len(w) // _COARSE, 1) == 0)
     parts = [(data.at(number % _FOLDS != k), data.at(number % _FOLDS == k)) for k in range(_FOLDS)]
-    scale = float(np.sqrt(np.mean(np.abs(weight * record.response) ** 2)))
+    scale = float(np.sqrt(np.mean(np.abs(weight * scaled.response) ** 2)))
 
     def held_out(n: int, delays: Sequence[float], strict: bool) -> tuple[float, list[_System]]:
         folds = [_fitted(seen, n, delays, _FEW, strict) for seen, _ in parts]
@@ -169,10 +176,11 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
     system = _fitted(data, chosen, delays, _ITERATIONS, strict)
 
     def model(one: _System) -> LinearModel:
-        zeros = np.zeros(nu), np.zeros(ny)
-        if record.sampling_time:
-            return LinearModel(one.a, one.b, one.c, one.d, record.sampling_time, *zeros)
-        return LinearModel(middle * one.a, middle * one.b, one.c, one.d, 0.0, *zeros)
+        rate, zeros = 1.0 if record.sampling_time else middle, (np.zeros(nu), np.zeros(ny))
+        made = LinearModel(
+            rate * one.a, rate * one.b, one.c, one.d, record.sampling_time, *zeros
+        )  # fmt: skip
+        return made.scaled(u, 1.0 / y)
 
     return FrequencyFit(
         record, model(system), system.delay, _delay_band(data, system, strict),

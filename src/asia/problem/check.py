@@ -723,10 +723,7 @@ def _levels_text(found: FrequencyResponse) -> str:
         parts = {"distortion": levels.distortion}
     parts = {"noise": levels.noise, **parts}
     shown = ", ".join(f"{name} {_decibels(v)}" for name, v in parts.items() if v is not None)
-    text = f"{shown}; V cannot go below {levels.noise:.2g}"
-    if levels.distortion is None:
-        return text
-    return f"{text}, and that of a linear model not below {levels.both:.2g}"
+    return f"{shown}; V cannot go below {levels.noise:.2g}"
 
 
 def _decibels(level: float) -> str:

@@ -110,6 +110,14 @@ class BandBasis:
     windows: bool
     """True if the protocol simulates windows, so that errors depend on the step."""
 
+    @property
+    def noise(self) -> Array:
+        """Standard deviation (ny,) of the measurement noise: of the changes of the errors from
+        sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
+        channels = zip(*(block.T for fold in self.errors for block in fold.blocks), strict=True)
+        each = [np.concatenate([np.diff(e[np.isfinite(e)]) for e in one]) for one in channels]
+        return np.array([changes.std() / np.sqrt(2.0) for changes in each])
+
     @cached_property
     def calibration(self) -> Calibration:
         """Check of the bands on folds that did not make them."""

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
-from asia.export.linear import LinearPoint, LinearRun
+from asia.export.linear import LinearPoint, LinearRun, mode_bands
 from asia.interfaces.cli.linear import _dynamics, _pole_lines
 from asia.lowering.derivatives import derivatives
 from asia.lowering.linear import (
@@ -145,26 +145,27 @@ def test_bands_hold_all_fold_models_and_need_two_of_the_same_order() -> None:
 
     point = OperatingPoint(np.zeros(1), np.ones(1), np.ones(1), 0.0)
     found = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.88, 1.9), lag(0.91, 2.1)))
-    assert found.gain_band is not None
-    low, high = found.gain_band
+    gains = found.band("gain")
+    assert gains is not None
+    low, high = gains
     # Jackknife error 0.1 over two folds, Student's t of one degree of freedom 6.31.
     assert (low[0, 0], high[0, 0]) == pytest.approx((2.0 - 0.631, 2.0 + 0.631), abs=1e-3)
-    (band,) = found.mode_bands
+    (band,) = mode_bands(found.model, found.folds)
     assert band is not None
     frequencies = [one.modes()[0][1] for one in found.folds]
     assert band[0][0] <= min(frequencies)
     assert band[1][0] >= max(frequencies)
     # Fold models far apart: the band of the frequency stays between 0 and half the sampling rate.
     wide = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.2, 1.0), lag(0.99, 3.0)))
-    (band,) = wide.mode_bands
+    (band,) = mode_bands(wide.model, wide.folds)
     assert band is not None
     assert 0.0 < band[0][0] < band[1][0] <= 0.5
     # A fold without such a mode counts as one that has none.
     late = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.88, 1.9), lag(-0.2, 2.1)))
-    assert late.mode_bands == [None]
+    assert mode_bands(late.model, late.folds) == [None]
     alone = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.88, 1.9),))
-    assert alone.gain_band is None
-    assert alone.mode_bands == [None]
+    assert alone.band("gain") is None
+    assert mode_bands(alone.model, alone.folds) == [None]
 
 
 def test_poles_without_dynamics_in_the_sampled_model_are_named() -> None:

@@ -377,9 +377,8 @@ def loop_of_run(
     def transfer(model: LinearModel) -> Transfer:
         same, dead = continuous(model, _FAST)
         numerators, den = same.numerator()
-        num = numerators[0][0]
-        num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
-        return Transfer(np.trim_zeros(num, "f"), den, dead * model.sampling_time)
+        num = np.trim_zeros(numerators[0][0], "f")
+        return Transfer(num, den, dead * model.sampling_time)
 
     plants = [transfer(model) for model in models] if continuous_time else []
 

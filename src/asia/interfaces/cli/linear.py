@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -380,6 +380,7 @@ def _facts(
     run: LinearRun, point: LinearPoint, reduce: str | None, *, to_tf: bool, rate: bool
 ) -> dict[str, Any]:
     """Everything that is printed of a point, and the matrices."""
+    from asia.data.trajectory import deviations
     from asia.lowering.linear import (
         continuous,
         largest_gain,
@@ -400,30 +401,30 @@ def _facts(
         "A": model.a, "B": model.b, "C": model.c, "D": model.d,
         **_dynamics(model, point.folds, reason), "delay_samples": _delays(run, model),
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
-        "gains": [[{"kind": kind, **asdict(one)} for kind, one in row] for row in gains],
-        "gain": [[one.value if kind == "gain" else None for kind, one in row] for row in gains],
-        "slope_gain": [
-            [one.value for _, one in row] if row[0][0] == "slope" else None for row in gains
+        "gains": [
+            [{"kind": kind, "text": str(one), **asdict(one)} for kind, one in row] for row in gains
         ],
-        "gain_band": None if reason else point.gain_band,
+        "gain": [[one.value if kind == "gain" else None for kind, one in row] for row in gains],
         "fold_gains": [] if reason else [one.gain for one in folds],
-        "no_gain": reason if unstable else None,
     }  # fmt: skip
     if reduce is not None:
         if reduce != "auto" and not reduce.isdigit():
             raise UserError(f"--reduce is '{reduce}', expected auto or a number of states")
-        small = reduced(model, None if reduce == "auto" else int(reduce))
+        # Signals of several units count by their deviations.
+        u, y = (np.concatenate([getattr(r, side) for r in run.records]) for side in ("u", "y"))
+        units = deviations(u), deviations(y)
+        whole = model.scaled(*units)
+        small = reduced(whole, None if reduce == "auto" else int(reduce))
+        made = small.model.scaled(*(1.0 / one for one in units))
         inputs = max(run.records, key=len).u
-        full, less = model.simulate(inputs), small.model.simulate(inputs)
-        spread = np.maximum(full.std(axis=0), 1e-300)
-        size = largest_gain(model)
+        apart = (model.simulate(inputs) - made.simulate(inputs)) / units[1]
+        size = largest_gain(whole)
         found["reduced"] = {
-            "order": small.model.order, "bound": small.bound,
+            "order": made.order, "bound": small.bound,
             "relative_bound": small.bound / size if np.isfinite(size) and size > 0 else None,
-            **_dynamics(small.model, (), reason),
-            "singular_values": small.singular_values,
-            "difference_on_record": float(np.sqrt((((full - less) / spread) ** 2).mean())),
-            "A": small.model.a, "B": small.model.b, "C": small.model.c, "D": small.model.d,
+            **_dynamics(made, (), reason), "singular_values": small.singular_values,
+            "difference_on_record": float(np.sqrt((apart**2).mean())),
+            "A": made.a, "B": made.b, "C": made.c, "D": made.d,
         }  # fmt: skip
     if to_tf:
         samples = settling(model)
@@ -477,7 +478,7 @@ def _dynamics(
             "real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z,
             "time_s": None if rate.value is None else t, "frequency_band": rate.interval,
             "damping_band": None if band is None else [float(band[0][1]), float(band[1][1])],
-            "withheld": rate.reason or None, "share": share,
+            "withheld": rate.reason or None, "share": share, "integrates": model.integrates(p),
         })  # fmt: skip
     return {
         "poles": poles, "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
@@ -487,7 +488,9 @@ def _dynamics(
 
 def _hidden(share: float) -> str:
     """Reason that a mode has no time constant; "" where it has."""
-    return "" if share >= _LEAST_SHARE else f"{share:.1%} of the response, a zero nearly cancels it"
+    return (
+        "" if not share < _LEAST_SHARE else f"{share:.1%} of the response, a zero nearly cancels it"
+    )
 
 
 def _fitted(
@@ -566,8 +569,8 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
             late = (
                 "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"
             )
-            kind, gain = run.gain(point, i, j)
-            yield f"{kind:<10}{out.name} by {into.name}: {gain}, {late}"
+            gain = facts["gains"][i][j]
+            yield f"{gain['kind']:<10}{out.name} by {into.name}: {gain['text']}, {late}"
             if "process_models" in facts and facts["process_models"][i][j]:
                 one = facts["process_models"][i][j]
                 yield f"process   {out.name} by {into.name}: {one['text']}, fit {one['fit']:.1f} %"
@@ -580,16 +583,14 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
             yield f"H(s)      none: {error}"
     if "reduced" in facts:
         one = facts["reduced"]
-        alone = len(run.inputs) == len(run.outputs) == 1
-        unit = _gain_unit(run.outputs[0], run.inputs[0]) if alone else " (largest singular value)"
         share = one["relative_bound"]
         part = "" if share is None else f", {100 * share:.2g} % of its largest value"
         yield (
             f"reduced   to {_counted(one['order'], 'state')}: the frequency response differs by at "
-            f"most {one['bound']:.3g}{unit}{part}; on the longest training record the outputs "
-            f"differ by {one['difference_on_record']:.2g} standard deviations"
+            f"most {one['bound']:.3g} standard deviations of outputs for one of inputs{part}; on "
+            f"the longest training record the outputs differ by {one['difference_on_record']:.2g}"
         )
-        yield from _model_lines(run, model, one, step)
+        yield from _model_lines(run, one, step)
     if "none" in facts.get("continuous", ()):
         yield f"note      {facts['continuous']['none']}"
     elif "continuous" in facts:
@@ -597,21 +598,17 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
         dead = one["dead_time_samples"]
         late = f" after a dead time of {dead * step:g} s" if dead else ""
         yield f"continuous order {len(one['A'])}{late}; the matrices are in linear.json"
-        yield from _model_lines(run, model, one, 0.0)
+        yield from _model_lines(run, one, 0.0)
 
 
-def _model_lines(
-    run: LinearRun, model: LinearModel, facts: dict[str, Any], step: float
-) -> Iterator[str]:
+def _model_lines(run: LinearRun, facts: dict[str, Any], step: float) -> Iterator[str]:
     """Yield poles and gains of a model that was made from another, indented."""
     yield from (f"  {line}" for line in _pole_lines(facts["poles"], step))
     if facts["gain"] is None:
         return
-    matrices = {name.lower(): facts[name] for name in "ABCD"}
-    made = replace(model, **matrices, sampling_time=step)
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
-            gain = f"{made.gain[i, j]:.5g}{_gain_unit(out, into)}"
+            gain = f"{facts['gain'][i, j]:.5g}{_gain_unit(out, into)}"
             yield f"  gain      {out.name} by {into.name}: {gain}"
 
 
@@ -641,7 +638,7 @@ def _pole_lines(
         if np.isnan(one["frequency_hz"]):
             yield f"{text} no continuous counterpart"
             continue
-        if abs(pole - edge) < 1e-6:
+        if one["integrates"]:
             yield f"{text} integrator"
             continue
         near = slowest is not None and slowest[1] >= 1.0 and pole.real >= largest
@@ -692,11 +689,10 @@ def _transfer_lines(
 def _polynomial(coefficients: Any, variable: str) -> str:
     """Polynomial in a variable, such as (0.5 z + 1)."""
     most = len(coefficients) - 1
-    size = max(float(np.abs(coefficients).max()), 1e-300)
     terms = [
         ("" if value == 1.0 and most > k else f"{value:.5g} ").strip()
         + ("" if most == k else f" {variable}" + (f"^{most - k}" if most - k > 1 else ""))
         for k, value in enumerate(coefficients)
-        if abs(value) > 1e-12 * size
+        if value
     ]
     return f"({' + '.join(term.strip() for term in terms) or '0'})".replace("+ -", "- ")

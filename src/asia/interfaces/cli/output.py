@@ -177,14 +177,15 @@ def again_words(view: SearchView) -> str:
 
 
 def verdict_object(view: SearchView) -> dict[str, Any] | None:
-    """Return the verdict of a finished search for scripts."""
-    found = usability(view) if view.refitted is not None else None
+    """Return the verdict for scripts; None without a model."""
+    found = usability(view)
     return None if found is None else asdict(found)
 
 
 def verdict_lines(view: SearchView) -> list[str]:
-    """Return `verdict doubtful: ...` of a finished search, the reasons on lines of their own."""
-    found = usability(view) if view.refitted is not None else None
+    """Return `verdict doubtful: ...`, further reasons on lines of their own; none without a
+    model."""
+    found = usability(view)
     if found is None:
         return []
     first, *others = found.reasons or ("",)

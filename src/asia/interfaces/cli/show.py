@@ -176,7 +176,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if view.confirmed is not None:
         for line in confirmation_lines(view.confirmed, view.v_name, experiment.number):
             row("confirmed", line)
-    for line in (*verdict_lines(view), *use_lines(view)) if refitted else ():
+    for line in (*verdict_lines(view), *use_lines(view)) if view.best is experiment else ():
         label, _, text = line.partition(" ")
         row(label, text.strip())
     if experiment.score:

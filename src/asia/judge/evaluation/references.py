@@ -67,9 +67,7 @@ def transfer(model):
             if not order:
                 raise
     numerators, den = same.numerator()
-    num = numerators[0][0]
-    num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
-    return Transfer(np.trim_zeros(num, "f"), den, (dead + 0.5) * model.sampling_time)
+    return Transfer(np.trim_zeros(numerators[0][0], "f"), den, (dead + 0.5) * model.sampling_time)
 
 
 def tuned(models, pair):

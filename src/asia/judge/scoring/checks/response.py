@@ -159,9 +159,7 @@ def check_responses(data: ValidationData) -> Check:
         if len(outputs) > _MOST_GAINS:
             gains = [f"of {len(outputs)} outputs in the curves"]
         words.append(f"{one.input} at {one.point}: static gain {listed(gains)}")
-    deviation, blocks = data.simulations.deviation, data.simulations.blocks
-    errors = np.concatenate([b.residual for b in blocks]) / deviation
-    words += filter(None, [fit_note(100.0 * (1.0 - float(np.sqrt((errors**2).mean()))))])
+    words += filter(None, [fit_note(data.fit)])
     return Check(name, Verdict.SHOWN, "; ".join(words), curves=tuple(curves), axes=axes)
 
 

@@ -113,6 +113,8 @@ class ValidationData:
     long_run: Callable[[], Array | None]
     """Simulate ten horizons (n, ny) with repeated inputs; None where the model has no finite
     answer."""
+    fit: float | None = None
+    """100 (1 - V) in percent; None where it is not known."""
 
 
 ValidationCheck: TypeAlias = Callable[[ValidationData], Check | tuple[Check, ...]]
