@@ -307,7 +307,8 @@ class _Data:
         found: list[Mask] = []
         for seen in self.seen:
             used = seen & (np.arange(len(seen)) >= skipped)
-            late = [np.concatenate([np.zeros(k, bool), used])[: len(used)] for k in range(order + 1)]
+            early = np.concatenate([np.zeros(order, bool), used])
+            late = [early[order - k :][: len(used)] for k in range(order + 1)]
             found.append(np.logical_and.reduce(late))
         return np.concatenate(found)
 

@@ -509,7 +509,7 @@ def delay_lines(problem: Problem) -> list[str]:
 
 def _delay_text(delay: Delay) -> str:
     if delay.lag is None:
-        return "no effect found"
+        return "none found"
     if delay.interval is None:
         return f"{delay.lag} (first significant correlation)"
     low, high = delay.interval
