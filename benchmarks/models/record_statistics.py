@@ -1,8 +1,9 @@
 """Do statistics of records err as rarely as they say?
 
 Random plants with up to three inputs of different order in coloured noise: coverage of the 95 %
-intervals of process-model parameters, and delays within one sample. Open-loop files with five kinds
-of inputs: alarms of feedback and drift. Closed-loop files: feedback that is found.
+intervals of process-model parameters, and delays within one sample, with the numbers of lags chosen
+and given. Open-loop files with five kinds of inputs: alarms of feedback and drift. Closed-loop
+files: feedback that is found.
 
     python benchmarks/models/record_statistics.py [--plants 200] [--files 500] [--loops 100]
         [--seed 0]
@@ -17,7 +18,7 @@ from collections import Counter
 import numpy as np
 from scipy.signal import lfilter
 
-from asia.analysis.process import fit_process
+from asia.analysis.process import ProcessStructure, fit_process
 from asia.data import Array, Trajectory
 from asia.data.statistics import FALSE_ALARMS, delays, drifts, feedback
 from asia.errors import UserError
@@ -106,43 +107,54 @@ def closed_loop(rng: np.random.Generator, samples: int) -> Trajectory:
     return Trajectory(u[:, None], y[:, None], 1.0, "loop")
 
 
+def count_plants(plants: int, seed: int, *, known: bool) -> None:
+    """Print the coverage of intervals and delays.
+
+    Args:
+        known: whether the fit is given the true numbers of lags
+    """
+    tried, held = Counter[str](), Counter[str]()
+    near = pairs = withheld = structures = 0
+    for number in range(plants):
+        record, models = plant(np.random.default_rng([seed, 1, number]), 800)
+        forms = [ProcessStructure(len(true.lags)) for true in models] if known else None
+        try:
+            found = fit_process([record], 0, forms)
+        except UserError:
+            withheld += len(models)
+            continue
+        late = found.first if known else [d and d.lag for d in delays([record])[0]]
+        for true, model, values, first in zip(
+            models, found.models, found.parameters, late, strict=True
+        ):
+            pairs += 1
+            near += first is not None and abs(first - int(np.floor(true.delay)) - 1) <= 1
+            withheld += model is None
+            if model is None or len(model.lags) != len(true.lags) or model.zero or model.integrator:
+                continue
+            structures += 1
+            truth = {"gain": true.gain, "delay": true.delay}
+            truth |= {f"time constant {k}": lag for k, lag in enumerate(true.lags, 1)}
+            for p in values:
+                tried[p.name] += 1
+                held[p.name] += p.low <= truth[p.name] <= p.high
+    print("numbers of lags given" if known else "numbers of lags chosen")
+    whole = sum(held.values()) / max(sum(tried.values()), 1)
+    print(f"  delays within one sample: {near} of {pairs} pairs ({near / max(pairs, 1):.1%})")
+    print(f"  intervals with the truth: {whole:.1%} of {sum(tried.values())} in {structures} "
+          f"pairs with the true structure; {withheld} withheld")  # fmt: skip
+    for name in sorted(tried):
+        print(f"    {name}: {held[name]} of {tried[name]} ({held[name] / tried[name]:.1%})")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     for name, default in (("plants", 200), ("files", 500), ("loops", 100), ("seed", 0)):
         parser.add_argument(f"--{name}", type=int, default=default)
     given = parser.parse_args()
     start = time.process_time()
-    tried, held = Counter[str](), Counter[str]()
-    near = pairs = withheld = structures = 0
-    for number in range(given.plants):
-        record, models = plant(np.random.default_rng([given.seed, 1, number]), 800)
-        try:
-            found = fit_process([record])
-        except UserError:
-            withheld += len(models)
-            continue
-        for true, model, values, late in zip(
-            models, found.models, found.parameters, delays([record])[0], strict=True
-        ):
-            pairs += 1
-            first = int(np.floor(true.delay)) + 1
-            near += late is not None and late.lag is not None and abs(late.lag - first) <= 1
-            withheld += model is None
-            if model is None or len(model.lags) != len(true.lags) or model.zero or model.integrator:
-                continue
-            structures += 1
-            known = {"gain": true.gain, "delay": true.delay}
-            known |= {f"time constant {k}": lag for k, lag in enumerate(true.lags, 1)}
-            for p in values:
-                tried[p.name] += 1
-                held[p.name] += p.low <= known[p.name] <= p.high
-    if pairs:
-        whole = sum(held.values()) / max(sum(tried.values()), 1)
-        print(f"delays within one sample: {near} of {pairs} pairs ({near / pairs:.1%})")
-        print(f"intervals with the truth: {whole:.1%} of {sum(tried.values())} in {structures} "
-              f"pairs with the true structure; {withheld} withheld")  # fmt: skip
-        for name in sorted(tried):
-            print(f"  {name}: {held[name]} of {tried[name]} ({held[name] / tried[name]:.1%})")
+    for given_structure in (False, True):
+        count_plants(given.plants, given.seed, known=given_structure)
     alarms, drifting = Counter[str](), Counter[str]()
     for number in range(given.files):
         kind = KINDS[number % len(KINDS)]

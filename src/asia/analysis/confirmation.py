@@ -194,6 +194,7 @@ def scored(view: SearchView) -> list[Experiment]:
         (e.score.value, e.number)
         for e in view.finished
         if e.score is not None and e.result is not None and e.result.duplicate_of is None
+        if not e.unconfirmed
     ]
     return [view.experiment(number) for _, number in sorted(found)]
 

@@ -12,14 +12,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from asia.data.statistics import delays
+from asia.data.statistics import delays, transfers
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.judge.evaluation.findings import search_context
 from asia.models._linear.fit import Refinement
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import scaled, shortened
-from asia.models.linear import Config, Selection, fit_records, select
+from asia.models.linear import Config, fit_records, select
 from asia.problem.check import CheckReport, Doubt, input_delays, responses
 from asia.problem.problem import Problem, prepared
 
@@ -34,9 +34,15 @@ _MOVES = 0.1
 
 @dataclass(frozen=True)
 class LinearEvidence:
-    """Order and delay that a linear model of the records needs."""
+    """Order and delay that a linear model of the records needs: those of transfer functions whose
+    errors are independent of the inputs, else those of state-space models of rising order."""
 
-    selection: Selection
+    order: int
+    error: float
+    """Simulation error, in standard deviations: on held-out blocks, or of the transfer functions.
+    """
+    order_errors: dict[int, float]
+    """Those on held-out blocks by order; empty where transfer functions say the order."""
     delays: dict[str, int]
     """Samples before each input acts on an output, by name; inputs without an effect are left
     out."""
@@ -45,15 +51,10 @@ class LinearEvidence:
     records."""
     sampling_time: float
 
-    @property
-    def error(self) -> float:
-        """Held-out simulation error of the proposed order, in standard deviations."""
-        return self.selection.order_errors[self.selection.order]
-
     def lines(self) -> list[str]:
         """The proposal and its evidence as text."""
-        chosen, step = self.selection, self.sampling_time
-        orders = ", ".join(f"{n}: {e:.2g}" for n, e in chosen.order_errors.items())
+        step = self.sampling_time
+        orders = ", ".join(f"{n}: {e:.2g}" for n, e in self.order_errors.items())
         times = ", ".join(
             f"{t:.3g} s" if math.isfinite(t) else "longer than the records"
             for t in self.time_constants
@@ -64,10 +65,13 @@ class LinearEvidence:
             for name, d in self.delays.items()
         )
         return [
-            f"proposed  linear model of order {chosen.order}"
+            f"proposed  linear model of order {self.order}"
             + (f", delay {counts}" if counts else "")
             + (f", time constants {times}" if times else ""),
-            f"evidence  error on inner held-out blocks, in standard deviations, by order: {orders}",
+            f"evidence  error on inner held-out blocks, in standard deviations, by order: {orders}"
+            if orders
+            else f"evidence  a process model leaves {self.error:.2g} standard deviations, "
+            "independent of the inputs",
         ]
 
 
@@ -132,11 +136,20 @@ def _linear_evidence(problem: Problem) -> LinearEvidence | None:
     """Fit linear models to the training records; None where they are too short."""
     from scipy.signal import lfilter
 
-    context = search_context(problem, 0)
+    context, step = search_context(problem, 0), problem.sampling_time
     if context.nu + context.ny > _MOST_CHANNELS or context.nu == 0:
         return None
     train = prepared(problem, problem.train)
     known = _first_responses(problem, train)
+    shown = {name: lag for name, lag in known.items() if lag is not None}
+    fitted = [t for t in transfers(train) if t is not None and t.adequate]
+    if len(fitted) == context.ny:
+        parts = [one for t in fitted for one in t.inputs if one is not None and one.acts]
+        slow = [math.inf for one in parts if one.structure.integrator]
+        lags = sorted((lag.value * step for one in parts for lag in one.lags), reverse=True)
+        errors = [1.0 - t.fit / 100.0 for t in fitted]
+        count, error = len(slow) + len(lags), sum(errors) / len(errors)
+        return LinearEvidence(count, error, {}, shown, (*slow, *lags), step)
     records = scaled(_without_delays(train, list(known.values())), Scaling.of(train))
     config = Config(max_order=_MOST_ORDER, delay=0)
     try:
@@ -160,9 +173,9 @@ def _linear_evidence(problem: Problem) -> LinearEvidence | None:
             time = -1.0 / math.log(size) if size < 1 else math.inf
             times.append(time if time < len(longest) else math.inf)
     times.sort(reverse=True)
-    step = problem.sampling_time
-    shown = {name: lag for name, lag in known.items() if lag is not None}
-    return LinearEvidence(chosen, shown, tuple(t * step for t in times), step)
+    order, errors = chosen.order, chosen.order_errors
+    slow = tuple(t * step for t in times)
+    return LinearEvidence(order, errors[order], errors, shown, slow, step)
 
 
 def _first_responses(problem: Problem, records: Sequence[Trajectory]) -> dict[str, int | None]:
@@ -192,21 +205,21 @@ def _judge_linear(
     merits: list[str],
 ) -> None:
     """Compare the records with the dynamics of the linear model."""
-    step, order = problem.sampling_time, linear.selection.order
+    step, order = problem.sampling_time, linear.order
     lengths = [len(record) for record in problem.train]
     nu, ny = len(problem.inputs), len(problem.outputs)
     slowest = max(linear.time_constants, default=0.0)
     share = max(1.0 - linear.error**2, 0.0)
     if linear.error > 0.5:
         doubts.append(Doubt(
-            f"a linear model explains {share:.0%} of the variance of held-out samples: the rest is "
-            "noise or nonlinearity", 0.3 + 0.4 * (linear.error > 0.9), "two or more periods of the "
+            f"a linear model explains {share:.0%} of the variance: the rest is noise or "
+            "nonlinearity", 0.3 + 0.4 * (linear.error > 0.9), "two or more periods of the "
             "same input, which separate noise from nonlinearity",
         ))  # fmt: skip
     else:
         merits.append(
-            f"a linear model of order {order} explains {share:.1%} of the variance of held-out "
-            "samples"
+            f"a linear model of order {order} explains {share:.1%} of the variance"
+            + (" of held-out samples" if linear.order_errors else "")
         )
     # 5 time constants settle a mode; a fit needs that several times.
     spans = max(lengths) * step / slowest if math.isfinite(slowest) and slowest > 0 else 0.0

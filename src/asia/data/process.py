@@ -802,7 +802,7 @@ class _Data:
                 if ((phi >= low - 1e-9) & (phi <= high + 1e-9)).all():
                     there = self._solved(replace(at, phi=np.clip(phi, low, high)))[0]
                     ratio = (there.squares - at.squares) / rise
-                    if 0.6 < ratio < 1.7:
+                    if 0.9 < ratio < 1.5:
                         ends.append(float(plain))
                         continue
             ends.append(self._profile(at, k, sign, bound, rise, factor * error))

@@ -17,7 +17,7 @@ from asia.export.pipeline import measured
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
-from asia.ledger.run import Run, model_to_use, open_run
+from asia.ledger.run import Run, model_to_use, open_run, scored_experiment
 from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import (
     LinearModel,
@@ -333,9 +333,7 @@ def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:
     """`refit` or the number of an experiment, and why."""
     if model is not None:
         if model.isdigit():
-            if run.view.experiment(int(model)).score is None:
-                raise UserError(f"run '{run.name}': experiment {model} has no score")
-            return model, []
+            return str(scored_experiment(run, int(model)).number), []
         if model != "refit":
             raise UserError(
                 f"--model is '{model}', expected refit or the number of an experiment: the "

@@ -29,7 +29,7 @@ from asia.export.targets.onnx import OnnxTarget
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
-from asia.ledger.run import Run, model_to_use, open_run
+from asia.ledger.run import Run, model_to_use, open_run, scored_experiment
 from asia.lowering.program import Builder, LoweredModel, inlined
 from asia.problem.folds import Block, Case
 from asia.problem.load import load_lock
@@ -440,10 +440,7 @@ def _members(run: Run, model: str | None) -> tuple[str, tuple[FinalMember, ...]]
     known: tuple[Use, ...] = get_args(Use)
     if model is not None and model.isdigit():
         number = int(model)
-        scored = {e.number: e for e in run.view.experiments if e.result is not None}
-        if number not in scored:
-            raise UserError(f"run '{run.name}' has no scored experiment {number}")
-        return f"experiment {number}", (fold_models(scored[number]),)
+        return f"experiment {number}", (fold_models(scored_experiment(run, number)),)
     if model is None:
         chosen = model_to_use(run.view)
         if chosen is None:

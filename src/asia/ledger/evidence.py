@@ -12,7 +12,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from asia._statement import Statement, stated
+from asia._statement import NOT_IDENTIFIABLE, Statement, stated
 from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
@@ -544,8 +544,11 @@ class IdentifiedParameter:
         if one.low is not None and one.high is not None:
             wide = max(self._by_folds, one.misfit_error)
             ends = interval_ends(one.value, one.low, one.high, one.lower, wide)
-        positive = one.lower is not None and one.lower > 0.0
-        return stated(one.value, ends, one.unit, at_bound=one.at_bound, positive=positive)
+        unknown = one.standard_error is not None and not one.identifiable
+        return stated(
+            one.value, ends, one.unit, reason=NOT_IDENTIFIABLE if unknown else "",
+            at_bound=one.at_bound, positive=one.lower is not None and one.lower > 0.0,
+        )  # fmt: skip
 
     @property
     def decided_by(self) -> Literal["noise", "folds", "missing effect"]:

@@ -13,7 +13,7 @@ from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
 from asia.ledger.events import Started, TestedModel, Unsealed, Use
-from asia.ledger.view import SearchView, replay
+from asia.ledger.view import Experiment, SearchView, replay
 
 ERROR = "error.txt"
 """Name of the file next to the ledger with the error that stopped the search last."""
@@ -121,6 +121,21 @@ class ModelToUse:
     model: Use
     reason: str
     """A sentence."""
+
+
+def scored_experiment(run: Run, number: int) -> Experiment:
+    """Return an experiment whose model may be handed over. Raises UserError for one without a
+    score, and one that the guard records did not confirm."""
+    found = next((e for e in run.view.finished if e.number == number), None)
+    if found is None or found.score is None:
+        raise UserError(f"run '{run.name}' has no scored experiment {number}")
+    if found.unconfirmed:
+        raise UserError(
+            f"experiment {number} of run '{run.name}' is unconfirmed: records that nobody in the "
+            "search could read do not show its gain, so its model is not handed over. Choose "
+            "another experiment"
+        )
+    return found
 
 
 def model_to_use(view: SearchView) -> ModelToUse | None:

@@ -246,7 +246,7 @@ def decision_text(e: Experiment, view: SearchView) -> str:
             text += f", each seed below every one of #{held.number:02d}"
     elif e.result.threshold and e.result.status == "inconclusive":
         text += f", within the threshold {e.result.threshold:.2g}"
-    if e.result.status == "unconfirmed":
+    if e.unconfirmed:
         text += ", not confirmed by records that nobody in the search could read"
     return text
 

@@ -338,13 +338,15 @@ def alarms(view: SearchView) -> tuple[str, ...]:
                 f"that went well ({FAR_ABOVE_V:g} at most): V is no measure of this model"
             )
     total = view.looks[-1].total if view.looks else None
-    if total is not None and total.guard is not None and total.contradicted:
+    if total is not None and total.contradicted:
         since = f"since #{total.since:02d}" if total.since else "from the training mean"
-        found.append(
-            f"V fell by {total.gain:.0%} {since}, the error on the guard records by "
-            f"{total.guard.value:.0%} (at most {total.guard.high:.0%}): V is no measure of this "
-            "model"
+        error = (
+            f"but the model fails on the guard records ({total.detail})"
+            if total.guard is None
+            else f"the error on the guard records by {total.guard.value:.0%} (at most "
+            f"{total.guard.high:.0%})"
         )
+        found.append(f"V fell by {total.gain:.0%} {since}, {error}: V is no measure of this model")
     if view.truth is not None and view.below_truth(value):
         found.append(
             f"V {value:.4g} of #{best.number:02d} is below that of the simulated truth, "

@@ -112,6 +112,12 @@ class Experiment:
         return self.result is not None and self.result.status == "keep"
 
     @property
+    def unconfirmed(self) -> bool:
+        """Return whether records that nobody could read did not confirm its V: it is handed over
+        nowhere."""
+        return self.result is not None and self.result.status == "unconfirmed"
+
+    @property
     def lowest(self) -> bool:
         """Return whether its own fit was the best so far, whatever was decided on its method."""
         return self.result is not None and self.result.lowest
@@ -272,9 +278,13 @@ class SearchView:
 
     @property
     def guard_bits(self) -> int:
-        """Answers of the guard records that the agent learned, each one bit at most."""
-        asked = (e.result.confirmation for e in self.finished if e.result)
-        return sum(one is not None and one.guard is not None for one in asked)
+        """Answers of the guard records that the agent learned, each one bit at most: that a
+        candidate fails there is one too."""
+        if self.started.guard_digest is None:
+            return 0
+        return sum(
+            e.result is not None and e.result.confirmation is not None for e in self.finished
+        )
 
     @property
     def seconds(self) -> float:

@@ -42,7 +42,7 @@ def leading_experiments(view: SearchView, count: int, far: float) -> list[Experi
         raise UserError(f"run '{view.started.run}' has no scored model")
     others = [
         (e.score.value, e) for e in view.finished
-        if e.score is not None and e.number != best.number
+        if e.score is not None and e.number != best.number and not e.unconfirmed
         and e.score.value <= far * best.score.value
         and e.result is not None and e.result.duplicate_of is None
     ]  # fmt: skip

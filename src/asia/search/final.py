@@ -422,7 +422,7 @@ def refit_winner(
     # Experiments whose fits ignore a declared loop are no members beside a winner that does not.
     sound = _sound_in_loop(problem, view, store)
     biased = {e.number for e in view.finished} - sound if best.number in sound else set[int]()
-    biased |= {e.number for e in view.finished if e.result and e.result.status == "unconfirmed"}
+    biased |= {e.number for e in view.finished if e.unconfirmed}
 
     def stacked(refused: Collection[int] = ()) -> Stack | None:
         if problem.control is not None:  # A mean of responses is no response.

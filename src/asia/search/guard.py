@@ -25,8 +25,8 @@ from asia.problem.problem import Problem
 from asia.problem.seal import open_guard
 
 NEW_BESTS = 3
-_LARGEST = 1e6
-"""Largest ratio that is recorded: an exact V has none."""
+_ROUNDING = 1e-6
+"""Share of the V of the first best below which a V is exact."""
 Simulation = tuple[Array, ...]
 
 
@@ -53,8 +53,11 @@ class Gate:
     problem: Problem
     evaluator: Evaluator
     store: Store
-    _known: dict[int, Simulation] = field(default_factory=dict[int, Simulation])
-    """Simulations of the guard records by experiment; 0 for the training mean."""
+    _known: dict[int, Simulation | CandidateError] = field(
+        default_factory=dict[int, Simulation | CandidateError]
+    )
+    """Simulations of the guard records by experiment, or why there is none; 0 for the training
+    mean."""
 
     def confirm(self, source: str, evaluation: Evaluation, view: SearchView) -> Confirmation | None:
         """Confirm the gain of a candidate that is about to be a new best. None where V alone is
@@ -62,7 +65,7 @@ class Gate:
         score = evaluation.outcome
         if not view.started.gate or not view.finished or not isinstance(score, Score):
             return None
-        since, before = self._counted_from(view.bests[-1:], view)
+        since, before = self._counted_from(view.bests[::-1], view)
         if before is None:
             return None
         try:
@@ -82,7 +85,7 @@ class Gate:
     def admits(self, e: Experiment, best: Experiment, view: SearchView) -> bool:
         """Return whether a candidate that was no new best may be handed over beside the best one:
         on the guard records it may be worse by half of what it is worse in V."""
-        if e.result is not None and e.result.status == "unconfirmed":
+        if e.unconfirmed:
             return False
         alone = Stack((StackMember(e.number, 1.0),), e.score.value if e.score else 0.0, ())
         return self.confirms_stack(alone, best, view)
@@ -116,8 +119,8 @@ class Gate:
         values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]
         pick = min(values)[1] if values else None
         total, best = None, bests[-1]
-        since, before = self._counted_from([e for e in view.bests[:1] if e != best], view)
-        if isinstance(scores[-1].outcome, Score) and best.score is not None and before is not None:
+        since, before = self._counted_from([e for e in view.bests if e != best], view)
+        if best.score is not None and before is not None:
             value = best.score.value
             try:
                 y_hat = self._simulation(best.number, view)
@@ -129,9 +132,14 @@ class Gate:
     def _counted_from(
         self, bests: Sequence[Experiment], view: SearchView
     ) -> tuple[int, float | None]:
-        """Number and V of what a gain is counted from: this best; the training mean for none."""
-        if bests and bests[0].score is not None:
-            return bests[0].number, bests[0].score.value
+        """Number and V of what a gain is counted from: the first of these that can simulate the
+        guard records; the training mean for none."""
+        for e in bests:
+            failed = view.started.guard_digest is not None and isinstance(
+                self._outcome(e, view), Failure
+            )
+            if e.score is not None and not failed:
+                return e.number, e.score.value
         return 0, view.reference_value(MEAN_REFERENCE)
 
     def _judged(
@@ -142,11 +150,12 @@ class Gate:
         gain = share_gained(before, value)
         if y_hat is None:
             return Confirmation(since, gain)
-        first, highest = self._counted_from(view.bests[:1], view)
+        first, highest = self._counted_from(view.bests, view)
         left = 1.0 - self._gain(self._simulation(first, view), y_hat).value
-        apart = left * (highest or before) / value if value > 0.0 else np.inf
+        highest = highest or before
+        apart = left * highest / max(value, _ROUNDING * highest)
         found = self._gain(self._simulation(since, view), y_hat)
-        return Confirmation(since, gain, found, apart=float(min(apart, _LARGEST)))
+        return Confirmation(since, gain, found, apart=apart)
 
     def _sequential(
         self, source: str, folds: Sequence[FoldResult], view: SearchView
@@ -178,12 +187,18 @@ class Gate:
                 e = view.experiment(number)
                 models = [self.store.get(fold.model) for fold in e.folds]
                 source = self.store.text(e.proposed.source)
-                self._known[number] = simulated(self.evaluator, source, models, self._blocks)
+                try:
+                    self._known[number] = simulated(self.evaluator, source, models, self._blocks)
+                except CandidateError as error:
+                    self._known[number] = error
             else:
                 records = self.evaluator.data.records
                 mean = np.nanmean(np.concatenate([one.measured_y for one in records]), axis=0)
                 self._known[0] = tuple(np.tile(mean, (len(b.y), 1)) for b in self._blocks)
-        return self._known[number]
+        known = self._known[number]
+        if isinstance(known, CandidateError):
+            raise known
+        return known
 
     def _outcome(self, e: Experiment, view: SearchView) -> Outcome:
         try:

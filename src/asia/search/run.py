@@ -469,7 +469,13 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("seed", start.seed, wanted.seed),
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("--parallel", start.parallel, wanted.parallel),
-        ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
+        *(
+            (what, *("on" if on else "off" for on in pair))
+            for what, pair in (
+                ("--stop-folds", (start.stop_folds, wanted.stop_folds)),
+                ("the gate of the guard records", (start.gate, wanted.gate)),
+            )
+        ),
         *(
             (f"an agent with {name}", *(s.get(name, "its default") for s in (before, after)))
             for before, after in pairs

@@ -50,7 +50,7 @@ def test_good_records_show_order_delay_and_time_constants(delay: int) -> None:
     assert found.experiment == ""
     assert len(found.reasons) == 3
     assert found.linear is not None
-    assert (found.linear.selection.order, found.linear.delays) == (2, {"u0": delay})
+    assert (found.linear.order, found.linear.delays) == (2, {"u0": delay})
     expected = [-4.0 / np.log(0.9), -4.0 / np.log(0.6)]
     assert found.linear.time_constants == pytest.approx(expected, rel=0.1)
     text = "\n".join(found.lines())

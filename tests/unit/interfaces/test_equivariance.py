@@ -183,8 +183,8 @@ def checked(of: Transformation, folder: Path) -> Any:
     return {
         "inputs": signals[:2], "outputs": signals[2:],
         "proposal": {
-            "order": linear.selection.order,
-            "order_errors": linear.selection.order_errors,
+            "order": linear.order,
+            "order_errors": linear.order_errors,
             "delays": {names[name]: lag for name, lag in linear.delays.items()},
             "time_constants": linear.time_constants,
         },

@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.errors import UserError
 from asia.judge.sandbox.types import Isolation
-from asia.ledger.run import open_run
+from asia.ledger.run import open_run, scored_experiment
 from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.verification import verify
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem
+from asia.search.extension import leading_experiments
 from asia.search.replay import replay_run
 from asia.search.run import guard_share, prepare, search
 
@@ -222,6 +224,10 @@ def test_a_copied_record_is_unconfirmed_and_an_honest_model_is_kept(tmp_path: Pa
     assert value(order) < value(first)
     assert view.bests == (first, honest)
     assert view.guard_bits == 4
+    run = open_run(tmp_path / "runs" / "toy-scripted-s0")
+    assert {e.number for e in leading_experiments(view, 5, 1e9)} == {first.number, honest.number}
+    with pytest.raises(UserError, match="unconfirmed"):
+        scored_experiment(run, whole.number)
     assert view.refitted is not None
     assert view.refitted.experiment == honest.number
     members = view.refitted.stack.members if view.refitted.stack else ()
@@ -264,6 +270,7 @@ def test_folds_that_whisper_are_unconfirmed(
         assert told.result.confirmation.sequential == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_small_edits_do_not_add_up(tmp_path: Path):
     problem = write_counted(tmp_path / "toy", guard=True)
     values = errors(problem)
@@ -289,6 +296,30 @@ def test_an_honest_network_that_overfits_is_unconfirmed(tmp_path: Path):
     assert value(view.finished[2]) < 0.8 * value(view.finished[1])
 
 
+def test_a_first_best_that_fails_on_the_guard_records_stands_in_no_way(tmp_path: Path):
+    # Harmless inside the range of the training records; the guard goes three times as far.
+    problem = write_problem(tmp_path / "toy", experiments=2, test=False)
+    rng = np.random.default_rng(3)
+    for name, size in (("train", 1.0), ("unseen", 3.0)):
+        u, y = size * rng.normal(size=240), np.zeros(240)
+        for k in range(2, 240):
+            y[k] = 1.2 * y[k - 1] - 0.5 * y[k - 2] + 0.4 * u[k] + 0.2 * u[k - 1]
+        table = np.stack([u, y + 0.01 * rng.normal(size=240)], axis=1)
+        np.savetxt(problem / f"{name}.csv", table, delimiter=",", header="u,y", comments="")
+    text = (problem / "problem.toml").read_text()
+    guarded = text.replace("[data]\n", '[data]\nguard = ["unseen.csv"]\n')
+    (problem / "problem.toml").write_text(guarded)
+    step = "np.concatenate(lags, axis=1) @ self.weights"
+    grown = f"{step} + 2e-3 * np.sinh(np.abs(y[:, k-1])) * np.sign(y[:, k-1])"
+    (problem / "baseline.py").write_text(arx(1).replace(step, grown))
+    alone = go(problem, tmp_path / "alone")
+    assert any("fails on the guard records" in words for words in alarms(alone))
+    view = go(problem, tmp_path / "runs", arx(2))
+    assert statuses(view) == ["keep", "keep"]
+    assert view.guard_bits == 1
+    assert not alarms(view)
+
+
 def test_without_guard_records_a_result_is_doubtful_at_most(tmp_path: Path):
     problem = write_counted(tmp_path / "toy", guard=False)
     view = go(problem, tmp_path / "runs", arx(2))
@@ -300,6 +331,7 @@ def test_without_guard_records_a_result_is_doubtful_at_most(tmp_path: Path):
     assert unguarded(view) in judged.reasons
 
 
+@pytest.mark.slow
 def test_v_below_the_simulated_truth_is_an_alarm(tmp_path: Path):
     problem = load_problem("two_tanks_sim")
     problem = replace(problem, budget=replace(problem.budget, experiments=1, retests=0))

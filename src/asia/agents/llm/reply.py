@@ -265,7 +265,8 @@ def llm_report(run: Run) -> LlmReport:
         return tuple(f"{text} ({number} times)" for text, number in found.most_common())
 
     def lowest(experiments: list[Experiment]) -> float | None:
-        return min((e.score.value for e in experiments if e.score is not None), default=None)
+        scores = (e.score for e in experiments if not e.unconfirmed)
+        return min((score.value for score in scores if score is not None), default=None)
 
     return LlmReport(
         model=settings.get("model", ""),

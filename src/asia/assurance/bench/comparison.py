@@ -469,7 +469,8 @@ def _reached(views: Mapping[str, Mapping[int, SearchView]]) -> tuple[Reached, ..
         counts: list[int | None] = []
         for seed in seeds:
             goal = of_control[seed].best_value
-            scored = ((e.number, e.score.value) for e in views[arm][seed].finished if e.score)
+            tried = (e for e in views[arm][seed].finished if not e.unconfirmed)
+            scored = ((e.number, e.score.value) for e in tried if e.score)
             counts.append(next((n for n, v in scored if goal is not None and v <= goal), None))
         answer.append(Reached(arm, control, seeds, tuple(counts)))
     return tuple(answer)

@@ -426,6 +426,15 @@ class Mdf(FileFormat):
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
         asammdf = need("asammdf", path, "loggers")
+
+        def refused(*_: object, **__: object) -> None:
+            raise UserError(
+                f"{path}: a channel has a formula with more than numbers in it, which is not "
+                "computed: export the channel with physical values"
+            )
+
+        # Where numexpr refuses a formula, the library would run it as Python code.
+        asammdf.blocks.v4_blocks.lambdify = asammdf.blocks.v2_v3_blocks.lambdify = refused
         try:
             file: Any = asammdf.MDF(path)
         except (OSError, ValueError, asammdf.blocks.utils.MdfException) as error:

@@ -150,16 +150,19 @@ def print_alarms(view: SearchView) -> None:
 
 def guard_words(view: SearchView) -> str:
     """Return the last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, ...`, and how
-    often the agent learned an answer of it."""
+    often the agent learned an answer of it; "" without guard records."""
+    if view.started.guard_digest is None:
+        return ""
+    asked = f"asked for {view.guard_bits} new bests, at most {view.guard_bits} bits for the agent"
+    if not view.looks:
+        return f"not looked at yet; {asked}"
     look, best = view.looks[-1], view.best
     scores = ", ".join(f"#{s.experiment:02d} {value_words(s.outcome)}" for s in look.scores)
     pick = "none" if look.pick is None else f"#{look.pick:02d}"
     winner = ""
     if best is not None and best.number != look.pick:
         winner = f", the winner is #{best.number:02d}"
-    asked = f"; asked for {view.guard_bits} new bests, " if view.guard_bits else ""
-    bits = f"at most {view.guard_bits} bits for the agent" if view.guard_bits else ""
-    return f"{scores}; it picks {pick}{winner} (look {look.look}{asked}{bits})"
+    return f"{scores}; it picks {pick}{winner} (look {look.look}; {asked})"
 
 
 def again_words(view: SearchView) -> str:

@@ -455,6 +455,9 @@ class TextDisplay:
             self._print(f"note    {NOT_LEAK_FREE}")
         if start.residuals == "held_out":
             self._print(f"note    {RESIDUALS_SHOWN}")
+        if problem.guard_names:
+            names = ", ".join(problem.guard_names)
+            self._print(f"guard   {names}, shown to no candidate and no agent")
         for note in start.isolation_notes:
             self._print(f"note    {note}", style="dim")
         for change in environment_changes(start.environment, self.prepared.started.environment):
@@ -502,6 +505,10 @@ class TextDisplay:
         self.close()
         directory, best = self.prepared.directory, view.best
         self._print("")
+        for words in alarms(view):
+            self._print(f"ALARM    {words}", style="bold red")
+        if words := unguarded(view):
+            self._print(f"NOTE     {words}", style="bold yellow")
         if view.stopped is not None:
             self._print(f"stopped  {stop_words(view.stopped.reason, view)}")
             if view.stopped.detail:
@@ -543,10 +550,6 @@ class TextDisplay:
 
     def _print_best(self, view: SearchView) -> None:
         """Print the winner and the evidence for its quality."""
-        for words in alarms(view):
-            self._print(f"ALARM    {words}", style="bold red")
-        if words := unguarded(view):
-            self._print(f"NOTE     {words}", style="bold yellow")
         best = view.best
         if best is None or best.score is None:
             self._print("best     none: every candidate failed")
@@ -572,8 +575,8 @@ class TextDisplay:
         ):
             if words:
                 self._print(f"{name:<8} {words}")
-        if view.looks:
-            self._print(f"guard    {guard_words(view)}")
+        if words := guard_words(view):
+            self._print(f"guard    {words}")
         references = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.references)
         self._print(f"references V: {references}")
 

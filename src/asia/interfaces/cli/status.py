@@ -38,7 +38,7 @@ from asia.ledger.text import (
     threshold_text,
     validation_summary,
 )
-from asia.ledger.verdict import alarms
+from asia.ledger.verdict import alarms, unguarded
 from asia.problem.metrics import metric_label
 from asia.search.steering import running_losses
 
@@ -102,6 +102,8 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "error": error_of(directory) if found.state == "interrupted" else None,
         "failed_checks": list(view.failed_checks),
         "alarms": list(alarms(view)),
+        "guard": guard_words(view) or None,
+        "unguarded": unguarded(view) or None,
         "seal": seal_words(directory, view),
         "threshold": incumbent_threshold(view),
         "verdict": verdict_object(view),
@@ -181,8 +183,8 @@ def _print_status(directory: Path, found: Brief) -> None:
             say(f"{name:<7} {words}")
     for line in use_lines(view):
         say(line)
-    if view.looks:
-        say(f"guard   {guard_words(view)}")
+    if words := guard_words(view):
+        say(f"guard   {words}")
     if view.confirmed is not None:
         say(
             f"confirm {verdict(view.confirmed)}; variance over seeds: {noise_words(view.confirmed)}"

@@ -55,7 +55,7 @@ def unseal(
     level = options.level if opened.view.unsealed is None else None
     consent = yes_process or _consents(opened, level)
     if consent or not needs_consent(opened.view, level):
-        end_idle(directory, lambda line: say(line, file=sys.stderr))
+        end_idle(directory, options.level, lambda line: say(line, file=sys.stderr))
     result = open_seal(directory, process_consent=consent, keys=keys, isolation=level)
     if words := later_words(result.opened_before):
         say(words, file=sys.stderr)

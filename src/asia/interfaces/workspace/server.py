@@ -36,6 +36,7 @@ from asia.interfaces.workspace.process import (
 )
 from asia.judge.evaluation.dry_runs import DryRun
 from asia.judge.evaluation.references import LINEAR
+from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Stopped
@@ -867,13 +868,19 @@ def _answer_type(op: str) -> TypeAdapter[Any]:
 # The end of a search that waits for candidates, on request.
 
 
-def end_idle(directory: Path, say: Callable[[str], None]) -> None:
+def end_idle(directory: Path, level: Isolation | None, say: Callable[[str], None]) -> None:
     """End the search of a workspace or a server that has nothing to evaluate, so that its test can
     be opened: its winner is fitted to all training data, and its process ends. Nothing is done to
-    another search, or to one that has nothing to open. `say`: given one line where it takes time.
+    another search, or to one that has nothing to open.
 
-    Raises UserError when a candidate waits or is being evaluated, or the search fails."""
-    if SearchRequest.find(directory) is None:
+    Args:
+        level: isolation level that the user names; None for the strongest one
+        say: given one line where it takes time
+
+    Raises UserError when a candidate waits or is being evaluated, the files of the run name a
+    weaker level than the user, or the search fails."""
+    request = SearchRequest.find(directory)
+    if request is None:
         return
     view = open_run(directory).view
     if view.best is None or view.started.test_digest is None or view.unsealing is not None:
@@ -891,6 +898,13 @@ def end_idle(directory: Path, say: Callable[[str], None]) -> None:
         Steering(directory).stop()
     try:
         if not open_run(directory).view.complete:
+            wanted = level or probe().level
+            if request.isolation not in (None, wanted):
+                raise UserError(
+                    f"the files of run '{directory.name}' name the isolation level "
+                    f"{request.isolation}, but {wanted} works here: give --isolation "
+                    f"{request.isolation} if the run is your own"
+                )
             say("the search ends after refitting the winner to all training data")
             start_search(directory)
         while attended(directory):

@@ -255,7 +255,7 @@ def _rms(values: Array) -> float:
 # 51(1), 2018).
 
 ROUNDING = 1e-6
-# V of sequential fits over V, above which the folds exchanged data.
+# Cases that are asked again in a fresh worker.
 MOST_STRANGERS = 24
 # Parts of a block from which a simulation is continued.
 _FURTHER = (0.25, 1.0)

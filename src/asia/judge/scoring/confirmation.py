@@ -62,10 +62,10 @@ class Confirmation:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the guard records show, by more than chance, less than half of the gain, or V ran
-        away from the guard."""
+        """Whether the guard records show, by more than chance, less than half of the gain, V ran
+        away from the guard, or the candidate failed there."""
         less = self.guard is not None and self.guard.high < HALF * self.gain
-        return less or self._ran_away
+        return less or self._ran_away or bool(self.detail)
 
     @property
     def _ran_away(self) -> bool:

@@ -207,6 +207,31 @@ def test_channels_with_rasters_of_their_own(tmp_path: Path) -> None:
     assert np.array_equal(made.y[:58], record().y[:58])
 
 
+@pytest.mark.parametrize(("version", "x"), [("3.30", "X"), ("4.10", "X1")])
+def test_a_formula_of_a_channel_is_computed_and_never_executed(
+    tmp_path: Path, version: str, x: str
+) -> None:
+    from asammdf import MDF, Signal
+
+    marker = tmp_path / "marker"
+    code = f"(__import__('pathlib').Path({str(marker)!r}).touch() or 0) + {x}"
+    for formula in (f"2 * {x} + 1", code):
+        path = tmp_path / "log.mdf"
+        with MDF(version=version) as file:
+            raw = np.arange(len(T), dtype=np.uint16)
+            file.append(Signal(raw, T, name="u", conversion={"formula": formula}))
+            file.append(Signal(Y, T, name="y"))
+            path = file.save(path, overwrite=True)
+        marker.unlink(missing_ok=True)
+        if formula is code:
+            with pytest.raises(UserError, match="physical values"):
+                take_in([path], WANTED, "train")
+            assert not marker.exists()
+        else:
+            (made,) = take_in([path], WANTED, "train").records
+            assert np.array_equal(made.u[:, 0], 2.0 * raw + 1.0)
+
+
 def test_a_column_of_experiments_in_parquet(tmp_path: Path) -> None:
     path = tmp_path / "all.parquet"
     names = np.repeat(["a", "b"], 60)

@@ -1,11 +1,12 @@
 """Opening the test of a workspace whose search still waits for candidates."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from asia.interfaces.workspace.process import attended, start_search
+from asia.interfaces.workspace.process import SearchRequest, attended, start_search
 from asia.interfaces.workspace.server import RunDesk
 from asia.ledger.run import open_run
 from tests.unit.interfaces.cli.conftest import Asia
@@ -50,3 +51,12 @@ def test_unsealing_does_not_end_a_search_with_a_candidate(idle: Place, asia: Asi
     assert done.code == 2
     assert "is not idle (1 candidates wait" in done.err
     assert open_run(idle.directory).view.stopped is None
+
+
+def test_files_of_a_run_do_not_choose_a_weaker_level(idle: Place, asia: Asia) -> None:
+    end_searches(idle.directory)
+    replace(SearchRequest.load(idle.directory), isolation="process").save(idle.directory)
+    done = asia("unseal", idle.directory.name, "--yes", "--yes-process")
+    assert done.code == 2
+    assert "give --isolation process if the run is your own" in done.err
+    assert not open_run(idle.directory).view.complete
