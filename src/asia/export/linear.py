@@ -133,13 +133,16 @@ class LinearRun:
     """Training records, on which a reduction is checked and process models are fitted."""
     responses: tuple[FrequencyRecord, ...]
     """Measured frequency responses of the problem."""
-    integrating: tuple[int, ...]
-    """Numbers of the outputs that integrate, by the training records."""
     noise: Array
     """Standard deviation (ny,) of the measurement noise: of the changes of the residuals from
     sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
     fit: float | None = None
     """100 (1 - V) of the best experiment, in percent."""
+
+    @property
+    def integrating(self) -> tuple[int, ...]:
+        """Numbers of the outputs that integrate, by the training records."""
+        return integrating(self.records)
 
     def is_unstable(self, point: LinearPoint) -> bool:
         """Whether a mode grows, in the model or in the records."""
@@ -278,7 +281,7 @@ def linearize(
     best = opened.view.best
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
-        tuple(records), problem.responses, integrating(records), noise,
+        tuple(records), problem.responses, noise,
         None if best is None or best.score is None else 100.0 * (1.0 - best.score.value),
     )  # fmt: skip
 
