@@ -23,6 +23,8 @@ class _Loop:
     total: int
     done: int = 0
     begin: float = field(default_factory=monotonic)
+    stepped: float = field(default_factory=monotonic)
+    """When a step of it, or of a loop inside it, was last completed."""
 
 
 _LOOPS: ContextVar[list[_Loop] | None] = ContextVar("asia_progress", default=None)
@@ -44,30 +46,35 @@ def tracked(items: Sequence[T], text: str) -> Iterator[T]:
         for item in items:
             yield item
             own.done += 1
+            now = monotonic()
+            for one in loops:
+                one.stepped = now
     finally:
         if own in loops:
             loops.remove(own)
 
 
 def progress_line(
-    command: str, elapsed: float, loops: Sequence[tuple[str, int, int, float]]
+    command: str, elapsed: float, loops: Sequence[tuple[str, int, int, float, float]]
 ) -> str:
     """One line on a command.
 
     Args:
         elapsed: seconds since its start
-        loops: text, completed and all items, and seconds since its start of each loop, the
-            outermost first
+        loops: text, completed and all items of each loop, seconds from its start to its last
+            completed step, and seconds since then, the outermost first
     """
     if not loops:
         return f"{command}: {elapsed:.0f} s"
     share = 0.0
-    for _, done, total, _ in reversed(loops):
+    for _, done, total, *_ in reversed(loops):
         share = min((done + share) / max(total, 1), 1.0)
-    steps = ", ".join(f"{text} {min(done + 1, n)} of {n}" for text, done, n, _ in loops)
+    steps = ", ".join(f"{text} {min(done + 1, n)} of {n}" for text, done, n, *_ in loops)
     # The longest known duration is that of the outermost loop.
-    left = f"about {loops[0][3] * (1.0 - share) / share:.0f} s left" if share > 0 else "first step"
-    return f"{command}: {elapsed:.0f} s, {steps}, {left}"
+    worked, since = loops[0][3:]
+    left = worked * (1.0 - share) / share - since if share > 0 else 0.0
+    # A step that lasts longer than those before it ends the estimate.
+    return f"{command}: {elapsed:.0f} s, {steps}" + (f", about {left:.0f} s left" * (left >= 1))
 
 
 @contextmanager
@@ -82,7 +89,10 @@ def reported(command: str, say: Callable[[str], None]) -> Generator[None]:
     def watch() -> None:
         while not done.wait(max(SILENCE, 0.1 * (monotonic() - begin))):
             now = monotonic()
-            known = [(one.text, one.done, one.total, now - one.begin) for one in tuple(loops)]
+            known = [
+                (one.text, one.done, one.total, one.stepped - one.begin, now - one.stepped)
+                for one in tuple(loops)
+            ]
             say(progress_line(command, now - begin, known))
 
     token = _LOOPS.set(loops)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, wraps
+from functools import lru_cache, partial, wraps
 from typing import Any, TypeVar
 
 import numpy as np
@@ -246,8 +246,11 @@ class _Data:
         self.seen = seen
         self.lengths = [len(v) for v in self.u]
         self.longest = max(self.lengths)
+        ends = np.cumsum(self.lengths)[:-1].tolist()
+        self._by_record = partial(np.split, indices_or_sections=ends)
         self.most_delay = self.longest / 3.0
         self._columns = lru_cache(maxsize=256)(self._input_columns)
+        self._kept = lru_cache(maxsize=8)(self._measured_rows)
 
     # Regressors.
 
@@ -256,10 +259,11 @@ class _Data:
     ) -> tuple[Array, ...]:
         """Outputs (T, 1 or 2) of each record for unit weights of one input."""
         chain = _Chain(np.exp(np.array(phi[:-1])), structure)
+        filters = chain.filters(phi[-1])
         parts: list[Array] = []
         for u in self.u:
             first, time = u[0, j], np.arange(len(u))
-            moved = chain.outputs(u[:, j] - first, phi[-1])
+            moved = chain.outputs(u[:, j] - first, *filters)
             steady = first * (time if structure.integrator else 1.0)
             rest = [first * structure.integrator] * structure.zero
             parts.append(np.stack(
@@ -267,53 +271,48 @@ class _Data:
             ))  # fmt: skip
         return tuple(parts)
 
-    def _decays(self, at: _State, samples: int) -> Array:
-        """Free responses (T, q) of the lags of all inputs."""
-        time = np.arange(samples)
+    def _decays(self, at: _State) -> Array:
+        """Free responses (longest, q) of the lags of all inputs."""
+        time = np.arange(self.longest)
         lags = np.concatenate([np.exp(at.phi[s][:-1]) for s in at.slices()])
         return np.exp(-time[:, None] / lags)
 
-    def _design(self, at: _State, *, whiten: bool = True) -> tuple[Array, Array]:
+    def _design(self, at: _State) -> tuple[Array, Array]:
         """Whitened regressors and outputs of all measured samples."""
         integrator = any(s.integrator for s in at.structures)
         forced = [
-            self._columns(j, s, tuple(at.phi[p].tolist()))
+            np.concatenate(self._columns(j, s, tuple(at.phi[p].tolist())))
             for j, (s, p) in enumerate(zip(at.structures, at.slices(), strict=True))
         ]
-        rows: list[Array] = []
-        for r, samples in enumerate(self.lengths):
-            time = np.arange(samples) / self.longest
-            rest = [time] if integrator else [np.ones(samples)]
-            own = [np.ones(samples)] if integrator else []
-            free = np.column_stack([
-                *own, *([] if at.at_rest else self._decays(at, samples).T)
-            ]) if own or not at.at_rest else np.zeros((samples, 0))  # fmt: skip
-            block = np.zeros((samples, free.shape[1] * len(self.lengths)))
-            block[:, r * free.shape[1] : (r + 1) * free.shape[1]] = free
-            rows.append(np.hstack([*(f[r] for f in forced), np.stack(rest, axis=1), block]))
-        noise = at.noise if whiten else np.ones(1)
-        return self._white(rows, at.skipped, noise), self._white(self.y, at.skipped, noise)
+        own = np.ones((self.longest, 1 if integrator else 0))
+        free = own if at.at_rest else np.hstack([own, self._decays(at)])
+        width = free.shape[1]
+        rest, block = list[Array](), np.zeros((sum(self.lengths), width * len(self.lengths)))
+        for r, (rows, samples) in enumerate(zip(self._by_record(block), self.lengths, strict=True)):
+            rest.append(np.arange(samples) / self.longest if integrator else np.ones(samples))
+            rows[:, r * width : (r + 1) * width] = free[:samples]
+        regressors = np.column_stack([*forced, np.concatenate(rest), block])
+        return (
+            self._white(regressors, at.skipped, at.noise),
+            self._white(np.concatenate(self.y), at.skipped, at.noise),
+        )
 
-    def _white(self, parts: Sequence[Array], skipped: int, noise: Array) -> Array:
-        """Filter each record and keep the rows whose samples were all measured."""
-        from scipy.signal import lfilter
+    def _white(self, values: Array, skipped: int, noise: Array) -> Array:
+        """Filter the samples of all records and keep the rows whose samples were all measured."""
+        made = values.copy()
+        # Rows with samples of two records are not kept.
+        for k, weight in enumerate(noise[1:], 1):
+            made[k:] += weight * values[:-k]
+        return made[self._kept(skipped, len(noise) - 1)]
 
-        order, found = len(noise) - 1, list[Array]()
-        for values, seen in zip(parts, self.seen, strict=True):
-            made = (
-                np.asarray(lfilter(noise, [1.0], values, axis=0), np.float64) if order else values
-            )
-            found.append(made[self._kept(seen, skipped, order)])
+    def _measured_rows(self, skipped: int, order: int) -> Mask:
+        found: list[Mask] = []
+        for seen in self.seen:
+            used = seen & (np.arange(len(seen)) >= skipped)
+            early = np.concatenate([np.zeros(order, bool), used])
+            late = [early[order - k :][: len(used)] for k in range(order + 1)]
+            found.append(np.logical_and.reduce(late))
         return np.concatenate(found)
-
-    @staticmethod
-    def _kept(seen: Mask, skipped: int, order: int) -> Mask:
-        used = seen & (np.arange(len(seen)) >= skipped)
-        for k in range(order):
-            late = np.zeros_like(used)
-            late[k + 1 :] = (seen & (np.arange(len(seen)) >= skipped))[: len(seen) - k - 1]
-            used = used & late
-        return used
 
     def _solved(self, at: _State) -> tuple[_State, Array, Array, Array, Array]:
         """The state with its squares, weights, errors, basis and singular scales."""
@@ -343,7 +342,9 @@ class _Data:
                 ends[1][k] -= step * (k < len(phi) - 1 or phi[k] >= step)
                 a, b = (self._columns(j, s, tuple(e.tolist())) for e in ends)
                 width = ends[0][k] - ends[1][k]
-                moved = [(one - two) @ own / width for one, two in zip(a, b, strict=True)]
+                moved = np.concatenate(
+                    [(one - two) @ own / width for one, two in zip(a, b, strict=True)]
+                )
                 columns.append(self._white(moved, at.skipped, at.noise))
         return np.stack(columns, axis=1)
 
@@ -432,9 +433,8 @@ class _Data:
         plain = replace(at, noise=np.ones(1))
         # A constant that the present filter hides would pass for noise.
         errors, place, parts = self._solved(plain)[2], 0, list[Array]()
-        for seen in self.seen:
-            kept = self._kept(seen, at.skipped, 0)
-            part = np.full(len(seen), np.nan)
+        for kept in self._by_record(self._kept(at.skipped, 0)):
+            part = np.full(len(kept), np.nan)
             part[kept] = errors[place : place + int(kept.sum())]
             place += int(kept.sum())
             parts.append(part)
@@ -731,13 +731,14 @@ class _Data:
         start = 0
         from scipy.signal import lfilter
 
-        for y, seen in zip(self.y, self.seen, strict=True):
+        white_rows = self._by_record(self._kept(at.skipped, len(at.noise) - 1))
+        for y, seen, kept in zip(self.y, self.seen, white_rows, strict=True):
             simulated = np.full(len(y), np.nan)
             simulated[seen] = plain[start : start + int(seen.sum())]
             start += int(seen.sum())
             errors.append(np.where(seen, y - simulated, np.nan))
             white: Any = lfilter(at.noise, [1.0], np.where(seen, errors[-1], 0.0))
-            white = np.where(self._kept(seen, at.skipped, len(at.noise) - 1), white, np.nan)
+            white = np.where(kept, white, np.nan)
             innovations.append(white)
         used = np.concatenate(
             [np.where(np.arange(len(e)) >= at.skipped, e, np.nan) for e in errors]
@@ -882,7 +883,7 @@ class _Data:
             [np.concatenate([np.zeros(k), u[: len(u) - k, j] - u[0, j]])[: len(u)] for u in self.u]
             for k in window
         ]
-        free = np.stack([self._white(c, at.skipped, at.noise) for c in lagged], axis=1)
+        free = self._white(np.stack([np.concatenate(c) for c in lagged], 1), at.skipped, at.noise)
         head = free @ impulse[window]
         model = x[:, start : start + 1 + structure.zero] @ own - head
         others = np.delete(x, range(start, start + 1 + structure.zero), axis=1)
@@ -948,15 +949,17 @@ class _Chain:
         steps = self.step(np.arange(-1.0, samples) - late)
         return np.stack([np.diff(one) for one in steps], axis=1)
 
-    def outputs(self, u: Array, delay: float) -> list[Array]:
-        """Outputs (T,), one a row of C, from rest."""
-        from scipy.signal import lfilter
-
+    def filters(self, delay: float) -> tuple[int, list[Array]]:
+        """Whole samples of the delay, and numerators over the denominator for its rest, one for
+        each row of C."""
         whole = round(delay) if not len(self.lags) else int(delay)
         order = len(self.denominator)
+        responses = self.impulse(delay - whole, order + 2).T
+        return whole, [np.convolve(self.denominator, r)[: order + 1] for r in responses]
+
+    def outputs(self, u: Array, whole: int, numerators: Sequence[Array]) -> list[Array]:
+        """Outputs (T,), one for each numerator, from rest."""
+        from scipy.signal import lfilter
+
         late = np.concatenate([np.zeros(whole), u])[: len(u)]
-        made: list[Array] = []
-        for response in self.impulse(delay - whole, order + 2).T:
-            numerator = np.convolve(self.denominator, response)[: order + 1]
-            made.append(np.asarray(lfilter(numerator, self.denominator, late), np.float64))
-        return made
+        return [np.asarray(lfilter(b, self.denominator, late), np.float64) for b in numerators]

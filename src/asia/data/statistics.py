@@ -550,15 +550,36 @@ class Relation:
     @property
     def unstable(self) -> bool:
         """Whether a growing mode makes a free simulation diverge."""
-        return self.pole**self.length > _GROWTH
+        return _diverges(self.pole, self.length)
+
+
+def _diverges(pole: float, samples: int) -> bool:
+    return pole**samples > _GROWTH
+
+
+def _first_samples(records: Sequence[Trajectory]) -> tuple[list[Trajectory], int]:
+    """First samples of each record that is long enough, and the greatest lag to look at."""
+    most = max(_MOST_SAMPLES // len(records), 20 * _OWN_LAGS)
+    reach = min(_REACH, min(most, max(map(len, records))) // 4)
+    return [r[:most] for r in records if min(most, len(r)) > reach + 2 * _OWN_LAGS], reach
+
+
+def _largest_pole(records: Sequence[Trajectory]) -> float:
+    """Greatest modulus of the poles of a linear one-step model; 0 for short records."""
+    signals = [(r.u, r.y) for r in _first_samples(records)[0]]
+    poles: list[float] = []
+    for k in range(records[0].y.shape[1]) if signals else ():
+        # A model of too high an order has poles of its own: the lesser of two orders counts. The
+        # present input is left out: in a loop it holds the present output.
+        each = [_one_step_poles(signals, k, order, 1) for order in (2, 4)]
+        poles.append(min(float(abs(found).max(initial=0.0)) for found in each))
+    return max(poles, default=0.0)
 
 
 @once_for_records
 def relation(records: tuple[Trajectory, ...]) -> Relation:
     """Relation of inputs and outputs in the training records."""
-    most = max(_MOST_SAMPLES // len(records), 20 * _OWN_LAGS)
-    reach = min(_REACH, min(most, max(map(len, records))) // 4)
-    usable = [r[:most] for r in records if min(most, len(r)) > reach + 2 * _OWN_LAGS]
+    usable, reach = _first_samples(records)
     inputs, outputs = range(records[0].u.shape[1]), range(records[0].y.shape[1])
     of_outputs = [_innovations([r.y[:, k] for r in usable]) for k in outputs]
     of_inputs = [_innovations([r.u[:, j] for r in usable]) for j in inputs]
@@ -571,18 +592,11 @@ def relation(records: tuple[Trajectory, ...]) -> Relation:
     lags = [d.lag for row in delays(records) for d in row if d is not None and d.lag is not None]
     # Slow effects are hidden by the noise of single samples, and seen in means of blocks.
     blocks = (1, max(1, sum(map(len, usable)) // _BLOCKS))
-    signals = [(r.u, r.y) for r in usable]
-    poles: list[float] = []
-    for k in outputs if usable else ():
-        # A model of too high an order has poles of its own: the lesser of two orders counts. The
-        # present input is left out: in a loop it holds the present output.
-        each = [_one_step_poles(signals, k, order, 1) for order in (2, 4)]
-        poles.append(min(float(abs(found).max(initial=0.0)) for found in each))
     return Relation(
         effect=effect,
         delay=min(lags, default=0),
         feedback=float(_feedback(records)[1].max(initial=0.0)),
-        pole=max(poles, default=0.0),
+        pole=_largest_pole(records),
         reach=reach,
         length=max(map(len, records)),
         gain=max((_input_gain(usable, k, size) for k in outputs for size in blocks), default=0.0),
@@ -596,7 +610,8 @@ def needs_loop(records: tuple[Trajectory, ...]) -> bool:
     if min(map(len, records)) < 2 * _SHORTEST:
         return False
     halves = [r[: len(r) // 2] for r in records], [r[len(r) // 2 :] for r in records]
-    return all(relation(part).unstable for part in (records, *halves))
+    parts = (records, *halves)
+    return all(_diverges(_largest_pole(part), max(map(len, part))) for part in parts)
 
 
 def _innovations(signals: Sequence[Array]) -> tuple[Array, ...] | None:

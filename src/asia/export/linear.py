@@ -124,12 +124,15 @@ class LinearRun:
     """Training records, on which a reduction is checked and process models are fitted."""
     responses: tuple[FrequencyRecord, ...]
     """Measured frequency responses of the problem."""
-    integrating: tuple[int, ...]
-    """Numbers of the outputs that integrate, by the training records."""
     noise: Array
     """Standard deviation (ny,) of the measurement noise."""
     fit: float | None = None
     """Fit of the experiment in percent."""
+
+    @property
+    def integrating(self) -> tuple[int, ...]:
+        """Numbers of the outputs that integrate, by the training records."""
+        return integrating(self.records)
 
     def is_unstable(self, point: LinearPoint) -> bool:
         """Whether a mode grows, in the model or in the records."""
@@ -257,8 +260,7 @@ def linearize(
     noise = band_basis(evaluator, opened.view, opened.store, "ensemble").noise
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
-        tuple(records), problem.responses, integrating(records), noise,
-        opened.view.experiment(found.experiment).fit,
+        tuple(records), problem.responses, noise, opened.view.experiment(found.experiment).fit,
     )  # fmt: skip
 
 

@@ -196,7 +196,7 @@ class CheckReport:
         lines += [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
         if problem.loop is not None:
             lines += loop_lines(problem.loop, problem.train, whole=rule.horizon is None)
-        own = "baseline.py" if problem.baseline else "ASIA's own, as there is no baseline.py"
+        own = "baseline.py" if problem.baseline else "built-in; a baseline.py would replace it"
         lines.append(f"baseline: {own}")
         return lines + [f"warning: {w}" for w in self.warnings]
 
@@ -225,7 +225,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
         doubts += data_doubts(problem)
         doubts += _repeated_inputs(problem)
     if not is_described(problem.description):
-        text = "there is no description: agents that read know nothing of the system"
+        text = "the description is empty: a language model knows only the names of the signals"
         doubts.append(Doubt(text, 0.05))
     if problem.protocol.past_outputs == 0:
         text = "past_outputs is 0: a model cannot know the state it starts from"
@@ -509,7 +509,7 @@ def delay_lines(problem: Problem) -> list[str]:
 
 def _delay_text(delay: Delay) -> str:
     if delay.lag is None:
-        return "no effect found"
+        return "none found"
     if delay.interval is None:
         return f"{delay.lag} (first significant correlation)"
     low, high = delay.interval

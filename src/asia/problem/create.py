@@ -91,7 +91,8 @@ def check_directory(directory: Path) -> None:
         raise UserError(f"{directory} is a file: choose another name for the problem")
     if any(directory.iterdir()):
         raise UserError(
-            f"{directory} exists and is not empty: choose another name, nothing is overwritten"
+            f"{directory} exists and is not empty, nothing is overwritten: remove it, or choose "
+            "another name"
         )
 
 
@@ -318,6 +319,7 @@ _TOML = """\
 name = {name}
 description = "description.md"      # plain English: say what you know of the system
 sampling_time = {sampling_time}                 # s
+# An input that nobody sets, such as the weather, has role = "disturbance".
 inputs  = {inputs}
 outputs = {outputs}
 

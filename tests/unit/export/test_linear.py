@@ -301,14 +301,13 @@ def test_a_controller_and_a_certificate_of_a_run(tmp_path: Path) -> None:
     assert "--y is 'level=0..10', expected limits" in wrong.err
 
 
-def _run(points: Sequence[LinearPoint], integrating: tuple[int, ...] = ()) -> LinearRun:
-    """Run of one input and output whose records are an open loop of a lag."""
+def _run(points: Sequence[LinearPoint], pole: float = 0.8) -> LinearRun:
+    """Run of one input and output whose records are an open loop with this pole."""
     u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 60), 5)[:, None]
-    y = np.asarray(lfilter([0.0, 0.2], [1.0, -0.8], u, axis=0))
+    y = np.asarray(lfilter([0.0, 0.2], [1.0, -pole], u, axis=0))
     signals = (Signal("u", "V"),), (Signal("y", "m"),)
     return LinearRun(
-        "r", "refit", *signals, tuple(points), (), (Trajectory(u, y, 1.0, "a"),), (), integrating,
-        np.zeros(1),
+        "r", "refit", *signals, tuple(points), (), (Trajectory(u, y, 1.0, "a"),), (), np.zeros(1),
     )  # fmt: skip
 
 
@@ -318,20 +317,20 @@ def _lag(pole: float, gain: float) -> LinearModel:
 
 
 @pytest.mark.parametrize(
-    ("pole", "folds", "integrating", "kind", "reason"),
+    ("pole", "folds", "own", "kind", "reason"),
     [
-        (0.9, (0.88, 0.91), (), "gain", ""),
-        (0.99, (0.97, 0.999), (), "slope", "includes 1: the plant may integrate"),
-        (0.99, (0.985, 0.992), (0,), "slope", "the plant integrates"),
-        (1.02, (1.01, 1.03), (), "gain", "the plant is unstable"),
+        (0.9, (0.88, 0.91), 0.8, "gain", ""),
+        (0.99, (0.97, 0.999), 0.8, "slope", "includes 1: the plant may integrate"),
+        (0.99, (0.985, 0.992), 1.0, "slope", "the plant integrates"),
+        (1.02, (1.01, 1.03), 0.8, "gain", "the plant is unstable"),
     ],
 )
 def test_no_static_gain_and_no_rest_beside_an_integrator_or_an_unstable_pole(
-    pole: float, folds: tuple[float, ...], integrating: tuple[int, ...], kind: str, reason: str
+    pole: float, folds: tuple[float, ...], own: float, kind: str, reason: str
 ) -> None:
     at = OperatingPoint(np.zeros(1), np.ones(1), np.ones(1), 0.0)
     point = LinearPoint("mean", at, True, _lag(pole, 2.0), tuple(_lag(p, 2.0) for p in folds))
-    run = _run([point], integrating)
+    run = _run([point], own)
     assert reason in run.no_rest(point)
     assert bool(run.no_rest(point)) == bool(reason)
     found = run.gain(point, 0, 0)

@@ -91,7 +91,7 @@ def test_doubts_are_said(tanks: Problem) -> None:
         "output tank2_level is at its limit 1 V",
         "input u2 is constant",
         "inputs u0 and u1 are collinear",
-        "there is no description",
+        "the description is empty",
         "7 test samples also occur",
         "11 of 1000 test samples of input u1 are outside",
     ):

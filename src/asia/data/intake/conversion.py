@@ -380,11 +380,11 @@ def make_records(
     """Put channels on one time grid, cut them at gaps, and name the records. ignore: how the user
     can do without the time stamps, for messages. Raises UserError."""
     notes = list(dict.fromkeys(note for part in found for note in part.notes))
-    timed: list[tuple[TablePart, Clock | None]] = []
+    whole: list[list[tuple[TablePart, Clock | None]]] = []
     for part in found:
         stamps = part.timestamps
         if stamps is None:
-            timed.append((part, None))
+            whole.append([(part, None)])
             continue
         if len(stamps) >= 3 and (np.diff(stamps) <= 0).all():
             notes.append(f"{part.where}: the newest row came first, the order was turned round")
@@ -393,14 +393,16 @@ def make_records(
         if len(cuts) > 1:
             back = _many(len(cuts) - 1, "time")
             notes.append(f"{part.where}: time goes back {back}, a new record begins at each")
-        timed += [(part.rows(rows), clock(stamps[rows])) for rows in cuts]
+        whole.append([(part.rows(rows), clock(stamps[rows])) for rows in cuts])
+    timed = [one for runs_of_part in whole for one in runs_of_part]
     where = ", ".join(dict.fromkeys(part.where for part in found))
     readings = tuple(_readings([(part, own) for part, own in timed if part.time and own]))
     step = _slowest(timed, where) if sampling_time is None else sampling_time
     grid = _Grid(step, use, ignore, notes)
     made: list[Trajectory] = []
-    for part, own_clock in timed:
-        pieces = grid.put(part, own_clock)
+    for runs_of_part in whole:
+        part = runs_of_part[0][0]
+        pieces = [piece for run in runs_of_part for piece in grid.put(*run)]
         cuts = [cut for piece in pieces for cut in _without_missing(piece)]
         _note_missing(part.where, pieces, cuts, notes)
         # A whole file that is too short is an error, which the folds raise.

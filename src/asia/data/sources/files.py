@@ -35,7 +35,7 @@ class RecordFiles(Source):
     """Findings in the files that these were made from."""
 
     test_kept: ClassVar[str] = (
-        "in plain files; isolation alone keeps candidates off them, and asia init --seal "
+        "in plain files; only isolation keeps candidates off them, and asia init --seal "
         "would encrypt them"
     )
 

@@ -343,12 +343,14 @@ def loop_of_run(
     from asia.ledger.run import open_run
     from asia.lowering.evaluation import evaluate
     from asia.lowering.linear import continuous, joined, split
+    from asia.problem.load import load_lock
     from asia.search.extension import leading_experiments
+    from asia.search.run import LOCK
 
-    opened = open_run(directory)
+    opened, problem = open_run(directory), load_lock(directory / LOCK)
+    j = chosen("--input", pair[0], problem.inputs, [s.is_actuated for s in problem.inputs])
+    i = chosen("--output", pair[1], problem.outputs, [True] * len(problem.outputs))
     found = linearize(opened, [at] if at else (), number, isolation=isolation)
-    j = chosen("--input", pair[0], found.inputs, [s.is_actuated for s in found.inputs])
-    i = chosen("--output", pair[1], found.outputs, [True] * len(found.outputs))
     point = found.points[0]
     own, y0 = opened.view.best, float(point.at.y[i])
     others: dict[str, LinearPoint] = {}

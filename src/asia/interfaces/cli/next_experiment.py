@@ -52,14 +52,14 @@ def next_(
 ) -> None:
     """Propose the input of the next experiment: the one that tells most about where the leading
     models differ, within limits of inputs and of the expected outputs."""
+    if not duration > 0:
+        raise UserError("--duration is missing: give the length of the record in s")
     from asia.analysis.experiment_design import next_experiment
     from asia.problem.load import load_lock
     from asia.report.files import save
     from asia.report.pictures.analysis import draw_experiment
     from asia.search.run import LOCK
 
-    if not duration > 0:
-        raise UserError("--duration is missing: give the length of the record in s")
     directory = options.directory(run)
     problem = load_lock(directory / LOCK)
     inputs = [s.name for s in problem.inputs if s.is_actuated]

@@ -200,7 +200,10 @@ def test_a_record_begins_where_time_goes_back(tmp_path: Path) -> None:
     path = write(tmp_path, "\n".join(["t,u,y", *rows(), *rows(), *rows()]))
     found = take_in([path], WANTED, "train")
     assert [data_digest([r]) for r in found.records] == [CLEAN] * 3
-    assert found.notes == (f"{path}: time goes back 2 times, a new record begins at each",)
+    assert found.notes == (
+        f"{path}: time goes back 2 times, a new record begins at each",
+        f"{path}: cut into 3 records",
+    )
 
 
 def test_a_sampling_time_that_drifts_is_told_by_its_ends(tmp_path: Path) -> None:
