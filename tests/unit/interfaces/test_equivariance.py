@@ -239,7 +239,7 @@ def differences(here: dict[str, Any], there: dict[str, Any], tolerance: float) -
 def as_text(line: str, of: Transformation) -> str:
     """Words of a line without numbers and digests, in an order that no channel decides."""
     back = {new: old for old, new in OTHERS.items()} if of.renamed else {}
-    line = re.sub(r"protocol \w+", "protocol", line).replace(" - ", " + ")
+    line = re.sub(r"(protocol |records-)\w+", r"\1", line).replace(" - ", " + ")
     words = re.sub(r"[(),:;]", " ", line).split()
     return " ".join(
         sorted(NUMBER.sub("#", re.sub(r"\w+", lambda m: back.get(m[0], m[0]), w)) for w in words)
@@ -355,9 +355,8 @@ def of_run(of: Transformation, folder: Path) -> Any:
     for one in (linear["points"][0], linear["points"][0]["continuous"]):
         for matrix in "ABCD":
             one.pop(matrix, None)
-    if of.permuted or min(of.y + of.u) < 0:
-        # Levels are drawn input by input, from the lower limit up.
-        planned = {key: planned[key] for key in ("start", "noise", "experiments")}
+    # Levels of a planned record are drawn input by input, from the lower limit up.
+    planned = {key: planned[key] for key in ("start", "noise", "experiments")}
     # Coefficients have the units of powers of s; the gains of the PID have the same numbers.
     control = {key: control[key] for key in control if key not in ("num", "den", "controller")}
     return {
@@ -409,13 +408,17 @@ def original(door: str) -> dict[str, Any]:
 
 
 QUICK = {("linear FILE", "another direction")}
+LONG = (pytest.mark.long,)
 CASES = [(door, name) for door in ("check",) for name in TRANSFORMATIONS]
 CASES += [(door, name) for door in ("linear FILE", "linear RESPONSE", "run") for name in TOGETHER]
 
 
 @pytest.mark.parametrize(
     ("door", "name"),
-    [pytest.param(*c, marks=() if c in QUICK else pytest.mark.slow) for c in CASES],
+    [
+        pytest.param(*c, marks=() if c in QUICK else (pytest.mark.slow, *LONG[: c[0] == "run"]))
+        for c in CASES
+    ],
 )
 def test_numbers_follow_their_signals(door: str, name: str, tmp_path: Path) -> None:
     of = (TRANSFORMATIONS | TOGETHER)[name]
