@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from asia._statement import LEAST_FIT
 from asia.data.statistics import delays, transfers
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
@@ -142,7 +143,7 @@ def _linear_evidence(problem: Problem) -> LinearEvidence | None:
     train = prepared(problem, problem.train)
     known = _first_responses(problem, train)
     shown = {name: lag for name, lag in known.items() if lag is not None}
-    fitted = [t for t in transfers(train) if t is not None and t.adequate]
+    fitted = [t for t in transfers(train) if t is not None and t.adequate and t.fit >= LEAST_FIT]
     if len(fitted) == context.ny:
         parts = [one for t in fitted for one in t.inputs if one is not None and one.acts]
         slow = [math.inf for one in parts if one.structure.integrator]

@@ -112,7 +112,7 @@ class OutputTransfer:
     noise: float
     """Standard deviation of the error of simulation, in the output's unit."""
     adequate: bool
-    """Whether the errors are independent of the inputs, up to chance."""
+    """Whether the errors are independent of the inputs, up to chance, and below the output."""
     errors: tuple[Array, ...]
     """Measured minus simulated output (T,) of each record; nan where it was not measured."""
     innovations: tuple[Array, ...]
@@ -754,7 +754,7 @@ class _Data:
             offset = self.y_mean + self.y_std * rest - float(gains @ self.u_mean)
         return OutputTransfer(
             tuple(found), offset, at.at_rest, 100.0 * (1.0 - size / max(spread, 1e-300)),
-            size * self.y_std, adequate,
+            size * self.y_std, adequate and size < spread,
             tuple(e * self.y_std for e in errors), tuple(e / deviation for e in innovations),
             tuple(tuple(p * self.y_std for p in part) for part in parts),
         )  # fmt: skip

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia._progress import tracked
+from asia._statement import LEAST_FIT
 from asia.data.frequency import find_period, frequency_response
 from asia.data.process import OutputTransfer, fit_transfer, once_for_records
 from asia.data.relations import FoundTransport, find_transport
@@ -397,8 +398,6 @@ def drifts(records: tuple[Trajectory, ...]) -> tuple[float, ...]:
 # constant of a fifth of the records.
 _BLOCKS, _BLOCK_LAGS, _LEAST_POLE, _LARGEST_POLE = 240, 3, 0.975, 1.05
 _LEAST_SAMPLES = 60
-# Fit of a transfer function, in percent, from which its integrators count.
-_GOOD_FIT = 80.0
 
 
 @once_for_records
@@ -409,7 +408,7 @@ def integrating(records: tuple[Trajectory, ...]) -> tuple[int, ...]:
 
 def _integrates(records: tuple[Trajectory, ...], output: int) -> bool:
     transfer = transfers(records)[output]
-    if transfer is not None and transfer.adequate and transfer.fit > _GOOD_FIT:
+    if transfer is not None and transfer.adequate and transfer.fit >= LEAST_FIT:
         return any(one is not None and one.structure.integrator for one in transfer.inputs)
     size = max(1, sum(len(r) for r in records) // _BLOCKS)
     means = [
