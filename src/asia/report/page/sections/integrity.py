@@ -27,9 +27,9 @@ def _write(subject: Subject) -> Html:
         oracle = join((count, ": V is not leak-free"))
     guard: Html | str = "none"
     if start.guard_digest is not None:
-        looks = subject.over("guard", "look", "count", "count")
+        count = subject.over("guard", "look", "count", "count")
         asked = subject.over("evaluated", "confirmation.since", "count", "count")
-        guard = join((looks, " looks; asked for ", asked, " new bests, one bit each at most"))
+        guard = join((count, " looks; asked for ", asked, " new bests, one bit each at most"))
     count = subject.over("evaluated", "experiment", "count", "count")
     spent = subject.over("evaluated", "seconds", "sum", "duration")
     outcomes = [
