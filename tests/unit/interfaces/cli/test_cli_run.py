@@ -73,7 +73,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
         "control", "stopped", "usage", "metric", "legs", "handed_over", "use", "use_reason",
         "confirmed", "parallel", "running", "threshold", "remark", "incumbent", "validated",
         "stop_folds", "pruned_folds", "cancelled_folds", "error", "failed_checks",
-        "alarms", "verdict", "losses", "seal",
+        "alarms", "verdict", "losses", "seal", "guard", "unguarded",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"
