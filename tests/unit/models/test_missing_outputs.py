@@ -118,7 +118,11 @@ def simulated(model: Any, context: Context, fresh: Trajectory) -> Array:
 every_family = pytest.mark.parametrize(
     "row",
     [
-        pytest.param(r, id=r.name, marks=() if r.name in QUICK else pytest.mark.slow)
+        pytest.param(
+            r,
+            id=r.name,
+            marks=() if r.name in QUICK else pytest.mark.long if r.seeds else pytest.mark.slow,
+        )
         for r in all_families()
     ],
 )
