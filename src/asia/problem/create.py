@@ -358,7 +358,7 @@ _LOOP = """\
 # reference = {names}{pad}# the measured reference: no input
 # enters = "controller"             # u = C (r - y); "plant": u = r - C y
 # inputs = "measured"               # "explained": for stable plants, opens all families
-# Add the controller if you know it, in descending powers of z, or as "module:function":
+# Add the controller if you know it, in descending powers of z:
 #     controller = {{ numerator = [..], denominator = [..] }}
 """
 

@@ -295,8 +295,8 @@ def init(
     Tables and keys to add; problem.toml has examples as comments:
 
     - `[loop]`, records from a closed loop: `reference` (its column, no input), `enters`
-      ("controller" or "plant"), `controller` (numerator and denominator in z, or
-      "module:function"), `inputs` ("measured", or "explained" for stable plants)
+      ("controller" or "plant"), `controller` (numerator and denominator in z),
+      `inputs` ("measured", or "explained" for stable plants)
     - `[plant]`, a simulator of your own: `source` ("plant.py:simulate" or "model.fmu"),
       `[plant.parameters]` and `[plant.initial]` (min, max, unit). The function is
       `simulate(u, params, x0, dt)`: u (samples, inputs), params and x0 by name, dt in s; it returns
