@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from asia.errors import UserError
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.exports import journal, results_table
 from asia.ledger.index import brief
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_problem
-from asia.search.run import prepare, search
+from asia.search.run import Prepared, prepare, search
 from asia.search.scores import ScoreCheck
 from asia.search.unsealing import unseal
 from tests.golden.make_ledgers import AGENT, recorded
@@ -81,25 +82,29 @@ def test_a_golden_ledger_is_printed(run: Path) -> None:
     assert journal(view).count("**Hypothesis:**") == len(judged)
 
 
+def prepared(version: Path, name: str) -> Prepared:
+    return prepare(
+        load_problem(version / "problem"), AGENT.name, seed=0, runs=version / "runs", name=name,
+        isolation=Isolation.PROCESS,
+    )  # fmt: skip
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS, indirect=True, ids=lambda v: v.name)
 def test_a_golden_search_goes_on_to_the_end_it_would_have_had(
     version: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Scores come out of this machine's linear algebra, and agree to rounding."""
+    """Scores come out of this machine's linear algebra, and agree to rounding. These searches had
+    no gate: with one they are not continued."""
     monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", arx(2))
     runs = version / "runs"
     shutil.rmtree(runs / "unsealed")  # a copy of the finished run, which opened the test
     views = {}
+    with pytest.raises(UserError, match="the gate of the guard records off, not on"):
+        search(prepared(version, "finished"), AGENT, lambda event, view: None, lambda view: None)
+    monkeypatch.setattr("asia.search.run.can_read_records", lambda names: False)
     for name in ("finished", "interrupted"):
-        ready = prepare(
-            load_problem(version / "problem"),
-            AGENT.name,
-            seed=0,
-            runs=runs,
-            name=name,
-            isolation=Isolation.PROCESS,
-        )
+        ready = prepared(version, name)
         before = open_run(runs / name).lines
         views[name] = search(ready, AGENT, lambda event, view: None, lambda view: None)
         assert open_run(runs / name).lines[: len(before)] == before

@@ -237,7 +237,7 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     assert shown.code == 0, shown.err
     assert "at u=2: pump_voltage 2 V; tank2_level" in shown.out
     assert "(not at rest)" in shown.out
-    assert "V/V, " in shown.out
+    assert "standard deviations of outputs for one of inputs, " in shown.out
     assert "% of its largest value" in shown.out
     lines = shown.out.splitlines()
     first = next(k for k, line in enumerate(lines) if line.startswith("continuous order"))

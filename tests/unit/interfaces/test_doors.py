@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 import asia
-from asia.ledger.run import model_to_use, open_run, tested_model
+from asia.ledger import run as ledger
+from asia.ledger.run import model_to_use, open_run
 from asia.ledger.verdict import usability
 from asia.problem.load import load_problem
 from asia.report.page.page import write_page
@@ -158,7 +159,7 @@ def _tested(doors: Doors) -> Any:
 
 def _used(doors: Doors) -> Any:
     record, named = doors.run.view.unsealed, model_to_use(doors.run.view)
-    return None if record is None else tested_model(record, named.model).scores[0].value
+    return None if record is None else ledger.tested_model(record, named.model).scores[0].value
 
 
 def _reference(doors: Doors) -> float | None:
