@@ -296,7 +296,7 @@ class _Ablation:
         )
 
     def _source(self, experiment: Experiment) -> str:
-        return self.store.text(experiment.proposed.source)
+        return self.store.text(experiment.source)
 
     def _fit_all(self, variants: list[Variant]) -> dict[str, Array]:
         """V of each over the seeds, a single value where fits do not depend on them."""

@@ -233,7 +233,7 @@ class _Confirmation:
         known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
         with self.evaluator.workers.ready_workers():
             for experiment in chosen:
-                source = self.store.text(experiment.proposed.source)
+                source = self.store.text(experiment.source)
                 for repeat in range(1, self.seeds + 1):
                     done += 1
                     event = known.get((experiment.number, repeat))

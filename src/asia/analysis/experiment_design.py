@@ -538,7 +538,7 @@ def next_experiment(
 
     leading = leading_experiments(view, 1 + _OTHERS, _FAR)
     members = [
-        (run.store.text(e.proposed.source), [run.store.get(m) for m in fold_models(e).models])
+        (run.store.text(e.source), [run.store.get(m) for m in fold_models(e).models])
         for e in leading
     ]
     numbers = [e.number for e, (_, m) in zip(leading, members, strict=True) for _ in m]

@@ -343,7 +343,7 @@ class SystemIdentifier:
         """The best candidate's code."""
         best = self._opened.view.best
         assert best is not None
-        return self._opened.store.text(best.proposed.source)
+        return self._opened.store.text(best.source)
 
     @property
     def parameters_(self) -> pd.DataFrame | tuple[IdentifiedParameter, ...]:

@@ -494,6 +494,22 @@ class Retest:
 
 
 @dataclass(frozen=True)
+class Variant:
+    """A setting that a candidate left open, or its linear model, compared on inner held-out parts
+    of the training records."""
+
+    name: str
+    error: float | None = None
+    """Metric as it enters V, mean over the parts; None where a fit or simulation failed."""
+    behind: float = 0.0
+    """How much larger it is than that of the best variant, mean over the parts."""
+    deviation: float = 0.0
+    """Standard error of that difference."""
+    chosen: bool = False
+    """Whether its source was scored: the first variant that is no further behind than that."""
+
+
+@dataclass(frozen=True)
 class Evaluated:
     """Outcome of a candidate."""
 
@@ -535,6 +551,10 @@ class Evaluated:
     failed_checks: _FailedChecks = field(default=(), compare=False)
     confirmation: Annotated[Confirmation | None, _omitted(None)] = None
     """Gain of a new best where nobody could read the answers; None where it was not asked."""
+    variants: Annotated[tuple[Variant, ...], _omitted(())] = ()
+    """Variants that were compared before the candidate was scored, from simple to free."""
+    source: Annotated[ArtifactName | None, _omitted(None)] = None
+    """The variant that was scored; None for the candidate as it was proposed."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -551,6 +571,9 @@ class Landed:
     """Duration of the fit and its simulations."""
     validation_scores: int = 0
     ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
+    variants: Annotated[tuple[Variant, ...], _omitted(())] = ()
+    source: Annotated[ArtifactName | None, _omitted(None)] = None
+    """As in `Evaluated`."""
     event: Literal["landed"] = "landed"
 
 

@@ -22,6 +22,7 @@ from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
+from asia.ledger.events import Variant
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment, SearchView
 
@@ -337,6 +338,8 @@ class ExperimentEvidence:
     """Output of a failed fit; "" if there are folds."""
     failed_fold: str
     """The fold that failed, in words; "" where none did, and in older ledgers."""
+    variants: tuple[Variant, ...] = ()
+    """Variants that were compared before it was scored."""
 
     @property
     def findings(self) -> list[FoldFindings]:
@@ -409,6 +412,7 @@ def evidence_of(
         noise=noise,
         printed=printed,
         failed_fold=failed_fold,
+        variants=() if bounded else result.variants,
     )
 
 

@@ -22,6 +22,7 @@ from asia.ledger.events import (
     Stack,
     Started,
     Validated,
+    Variant,
 )
 from asia.ledger.evidence import (
     ExperimentEvidence,
@@ -410,6 +411,7 @@ def evidence_lines(
         ]
         noise = "not measured" if evidence.noise is None else f"{evidence.noise:.2g}"
         lines.append(f"V: {'; '.join(parts)}; standard deviation over seeds {noise}")
+    lines += variant_lines(evidence.variants)
     lines += _fold_lines(evidence, measured=measured)
     lines += _output_lines(evidence)
     if evidence.failed_fold:
@@ -422,6 +424,24 @@ def evidence_lines(
     if any(one.held_out_residuals for one in findings):
         lines += _residual_lines(evidence, evidence.held_out_residuals, "on the held-out samples")
     return [*lines, *_printed_lines(evidence)]
+
+
+def variant_lines(variants: Sequence[Variant]) -> Iterator[str]:
+    """Variants that were compared before a candidate was scored; nothing where none were."""
+    if not variants:
+        return
+    yield (
+        "variants by their error on inner held-out parts of the training records, all folds "
+        "together; the first one within a standard error of the best was scored"
+    )
+    width = max(len(one.name) for one in variants)
+    for one in variants:
+        figures = "failed"
+        if one.error is not None:
+            figures = f"{error_value(one.error)}"
+            if one.behind:
+                figures += f", {one.behind:.2g} behind, standard error {one.deviation:.2g}"
+        yield f"  {one.name:<{width}}  {figures}{'  <- scored' if one.chosen else ''}"
 
 
 def minima_lines(training_errors: Sequence[float], seeds: Sequence[float] = ()) -> Iterator[str]:

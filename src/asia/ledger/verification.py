@@ -131,8 +131,7 @@ def _artifacts(event: Event) -> Iterator[str]:
                 yield from (fold.model, fold.y_hat, fold.curve)
                 if fold.findings:
                     yield fold.findings
-            if event.output:
-                yield event.output
+            yield from (one for one in (event.output, event.source) if one)
         case Exchanged():
             yield from (event.request, event.response)
         case Streamed():

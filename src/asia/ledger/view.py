@@ -63,6 +63,13 @@ class Experiment:
         return self.proposed.experiment
 
     @property
+    def source(self) -> str:
+        """Artifact with the source that was scored: a variant of the proposed one where that left
+        a setting open."""
+        chosen = self.result.source if self.result else None
+        return chosen or self.proposed.source
+
+    @property
     def description(self) -> str:
         """The title, or the whole hypothesis where the title is only its beginning."""
         title, hypothesis = self.proposed.title, self.proposed.hypothesis

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from asia.data.trajectory import LEAST_RANGE, Array, Trajectory, filled, spread_of
 from asia.errors import UserError
-from asia.problem.protocol import ProtocolRule
+from asia.problem.protocol import FoldRule, ProtocolRule
 
 # Cut points of folds and windows in records, in 0-based samples.
 
@@ -294,6 +294,9 @@ def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...
     return _blocks(records, parts, rule)
 
 
+_THIRDS = 3
+
+
 def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold, ...]:
     """Make the folds of a problem's training records.
 
@@ -325,28 +328,65 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
                 f"record '{record.name}': {len(record)} samples are too few for "
                 f"{rule.folds.count} folds after a past window of {rule.past}"
             )
-    folds: list[Fold] = []
-    for k, split in enumerate(found):
-        # Parts in which an output was never measured train nothing.
-        parts = [
-            p
-            for p in split.train
-            if records[p.record].measured[p.samples.start : p.samples.stop].any(axis=0).all()
-        ]
-        train = tuple(records[p.record].alone(p.samples.start, p.samples.stop) for p in parts)
-        held_out = _blocks(records, split.held_out, rule)
-        if held_out:
-            never = np.isnan(np.concatenate([b.y for b in held_out])).all(axis=0)
-            if never.any():
-                raise UserError(
-                    f"output {int(np.argmax(never)) + 1} is never measured in what fold {k + 1} "
-                    "holds out: leave the output out or use fewer folds"
+    return tuple(_fold(records, split, rule, k) for k, split in enumerate(found))
+
+
+def inner_folds(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[Fold, ...]:
+    """Folds within the training records of each fold, on which variants of a candidate are
+    compared: each holds out a third of a fold's training records. The thirds rotate from fold to
+    fold; with fewer than three folds, one of them holds out several in turn.
+
+    A third is every third record where a fold has at least three, else a third of each record.
+    They are numbered on from the folds, so that a fit on them has a seed of its own.
+
+    Raises:
+        UserError: where the records are too short to be divided, or an output does not move in a
+            part
+    """
+    found: list[Fold] = []
+    for fold in folds:
+        records = fold.train
+        names, lengths = [r.name for r in records], [len(r) for r in records]
+        if len(records) >= _THIRDS:
+            parts = [Excerpt(i, range(rule.past, length)) for i, length in enumerate(lengths)]
+            wholes = [Excerpt(i, range(length)) for i, length in enumerate(lengths)]
+            cuts = [
+                FoldCut(
+                    tuple(parts[b::_THIRDS]), tuple(w for w in wholes if w.record % _THIRDS != b)
                 )
-        last = {p.record: p.samples.stop for p in parts}
-        followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
-        offsets = tuple(p.samples.start for p in parts)
-        folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed, offsets))
-    return tuple(folds)
+                for b in range(_THIRDS)
+            ]
+        else:
+            thirds = FoldRule("contiguous", _THIRDS, gap=rule.folds.gap)
+            cuts = splits(names, lengths, replace(rule, folds=thirds))
+        for b, cut_at in enumerate(cuts):
+            if b % len(folds) == fold.index % _THIRDS:
+                found.append(_fold(records, cut_at, rule, len(folds) + len(found)))
+    if not all(one.held_out for one in found):
+        raise UserError("the training records of a fold are too short to hold out a third of them")
+    return tuple(found)
+
+
+def _fold(records: Sequence[Trajectory], split: FoldCut, rule: ProtocolRule, k: int) -> Fold:
+    # Parts in which an output was never measured train nothing.
+    parts = [
+        p
+        for p in split.train
+        if records[p.record].measured[p.samples.start : p.samples.stop].any(axis=0).all()
+    ]
+    train = tuple(records[p.record].alone(p.samples.start, p.samples.stop) for p in parts)
+    held_out = _blocks(records, split.held_out, rule)
+    if held_out:
+        never = np.isnan(np.concatenate([b.y for b in held_out])).all(axis=0)
+        if never.any():
+            raise UserError(
+                f"output {int(np.argmax(never)) + 1} is never measured in what fold {k + 1} "
+                "holds out: leave the output out or use fewer folds"
+            )
+    last = {p.record: p.samples.stop for p in parts}
+    followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
+    offsets = tuple(p.samples.start for p in parts)
+    return Fold(k, train, held_out, _scale(train, rule, k), followed, offsets)
 
 
 def _after_first_outputs(

@@ -24,6 +24,7 @@ from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.events import Retest, Status
 from asia.ledger.view import SearchView, on_ladder
+from asia.search.fair_trial import Tried, first_fit
 from asia.search.pending import retest_fits
 
 _FIRST_SEED = 1_000_000
@@ -48,7 +49,7 @@ Confirm = Callable[[str, Evaluation, SearchView], Confirmation | None]
 class Decision:
     """A candidate and the decision on it."""
 
-    evaluation: Evaluation
+    tried: Tried
     """Its first fit, or why there is no score."""
     status: Status
     retests: tuple[Retest, ...] = ()
@@ -63,12 +64,17 @@ class Decision:
     confirmation: Confirmation | None = None
     """Its gain where nobody could read the answers; None where it was not asked."""
 
+    @property
+    def evaluation(self) -> Evaluation:
+        """Evaluation of the source that was scored."""
+        return self.tried.evaluation
+
 
 def decide(
     evaluator: Evaluator,
     source: str,
     view: SearchView,
-    evaluation: Evaluation | None = None,
+    tried: Tried | None = None,
     over: float | None = None,
     confirm: Confirm | None = None,
 ) -> Decision:
@@ -76,15 +82,16 @@ def decide(
     handed over, must also come back bitwise the same from its bytes, and answer like a model. With
     the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
     say which one is kept. After an objection the folds stay. A new best whose gain is not confirmed
-    is neither kept nor handed over. evaluation: where its first fit was made before; over: as in
+    is neither kept nor handed over. tried: where its first fit was made before; over: as in
     `Proposed`."""
-    if evaluation is None:
-        evaluation = evaluator.evaluate(source, over=over)
+    if tried is None:
+        tried = first_fit(evaluator, source, view, over)
+    source, evaluation = tried.source, tried.evaluation
     scores, outcome = evaluation.validation_scores, evaluation.outcome
     if isinstance(outcome, Failure):
         status = outcome.reason.status
         timed_out = status == "timeout"
-        return Decision(evaluation, status, deadline=timed_out, validation_scores=scores)
+        return Decision(tried, status, deadline=timed_out, validation_scores=scores)
     folds, objected, confirmation = evaluation.folds, None, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
@@ -94,11 +101,9 @@ def decide(
             check = partial(evaluator.objection, source, folds)
             objected = opened.enter_context(evaluator.workers.background(check))
         if view.started.retests:
-            decision = _decide_by_retests(evaluator, source, evaluation, outcome, view)
+            decision = _decide_by_retests(evaluator, tried, outcome, view)
         else:
-            decision = Decision(
-                evaluation, decide_by_one_fit(outcome, view), validation_scores=scores
-            )
+            decision = Decision(tried, decide_by_one_fit(outcome, view), validation_scores=scores)
         status = decision.status
         if lowest and status == "discard":
             # From other seeds its method is no better. Its own fit is.
@@ -114,7 +119,7 @@ def decide(
                 status, lowest = failure.reason.status, False
     return replace(
         decision,
-        evaluation=evaluation,
+        tried=replace(tried, evaluation=evaluation),
         status=status,
         deadline=decision.deadline or status == "timeout",
         lowest=lowest,
@@ -123,20 +128,20 @@ def decide(
 
 
 def _decide_by_retests(
-    evaluator: Evaluator, source: str, first: Evaluation, score: Score, view: SearchView
+    evaluator: Evaluator, tried: Tried, score: Score, view: SearchView
 ) -> Decision:
     """Fit from other seeds until the decision is clear, or there are no more.
 
     `discard` where it is not lower than the incumbent, `inconclusive` where it is, but not
     significantly. Each as soon as it is certain enough, so most candidates cost no fit more.
     """
-    known = view.incumbent.seed_values if view.incumbent else ()
+    first, known = tried.evaluation, view.incumbent.seed_values if view.incumbent else ()
     scores = first.validation_scores
     if known:
         threshold, lead = significance_threshold(known, known), fmean(known) - score.value
         if lead < _WORTH_A_RETEST * threshold or lead <= 0.0:
             status = "discard" if lead <= 0.0 else "inconclusive"
-            return Decision(first, status, threshold=threshold, validation_scores=scores)
+            return Decision(tried, status, threshold=threshold, validation_scores=scores)
     retests: list[Retest] = []
     values, failure = [score.value], None
     most = view.started.retests
@@ -145,7 +150,7 @@ def _decide_by_retests(
         most = 0
 
     def fit(number: int) -> Evaluation:
-        return evaluator.evaluate(source, _FIRST_SEED + number)
+        return evaluator.evaluate(tried.source, _FIRST_SEED + number)
 
     with retest_fits(evaluator, fit, most) as take:
         for number in range(most):
@@ -181,7 +186,7 @@ def _decide_by_retests(
         if fmean(values) >= fmean(known):
             status = "discard"
     timed_out = failure is not None and failure.status == "timeout"
-    return Decision(first, status, tuple(retests), threshold, timed_out, scores)
+    return Decision(tried, status, tuple(retests), threshold, timed_out, scores)
 
 
 def decide_by_one_fit(outcome: Outcome, view: SearchView) -> Status:

@@ -58,7 +58,7 @@ def leading_candidates(run: Run, count: int, far: float) -> list[LeadingCandidat
     `leading_experiments`."""
     return [
         LeadingCandidate(
-            one.proposed.family, one.proposed.title, run.store.text(one.proposed.source),
+            one.proposed.family, one.proposed.title, run.store.text(one.source),
             f"{run.name} #{one.number:02d}, V {error_value(one.score.value)}",
         )
         for one in leading_experiments(run.view, count, far)
@@ -79,7 +79,7 @@ def error_on_record(
     use = "refit" if named.model == "refit" else "ensemble"
     names = final_members(view, "refit")[0].models if use == "refit" else fold_models(best).models
     blocks = whole(read_records(problem, path), problem.protocol)
-    source, models = run.store.text(best.proposed.source), [run.store.get(n) for n in names]
+    source, models = run.store.text(best.source), [run.store.get(n) for n in names]
     with loading_stored_models(view):
         evaluator = make_evaluator(problem, view, isolation=isolation)
         try:

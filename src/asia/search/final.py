@@ -402,7 +402,7 @@ def _passes(evaluator: Evaluator, experiment: Experiment, store: Store) -> bool:
                    np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
         for one, (kept, fold) in zip(score.folds, each, strict=True)
     ]  # fmt: skip
-    return evaluator.objection(store.text(experiment.proposed.source), folds) is None
+    return evaluator.objection(store.text(experiment.source), folds) is None
 
 
 def refit_winner(
@@ -446,7 +446,7 @@ def refit_winner(
             make = opened.enter_context(evaluator.workers.background(stacked)).result
         refit: Refit | None = None
         try:
-            source = store.text(best.proposed.source)
+            source = store.text(best.source)
             models = [store.get(fold.model) for fold in best.folds]
             refit = evaluator.refit(source, [fold.attempt for fold in best.folds])
             checked = CheckedRefit(None, "it could not be compared with the fold models", None)
@@ -497,7 +497,7 @@ def refit_winner(
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     with diagnostic("feedback on the inputs", failed):
-        found = unheeded_feedback(problem, store.text(best.proposed.source))
+        found = unheeded_feedback(problem, store.text(best.source))
         if found is not None and found.declared:
             scored = {e.number: e.score.value for e in view.finished if e.score is not None}
             other = min(sound & scored.keys(), key=scored.__getitem__, default=None)
@@ -542,7 +542,7 @@ def _sound_in_loop(problem: Problem, view: SearchView, store: Store) -> set[int]
     finished = view.finished
     if problem.loop is None:
         return {e.number for e in finished}
-    return {e.number for e in finished if _is_sound_in_loop(problem, store.text(e.proposed.source))}
+    return {e.number for e in finished if _is_sound_in_loop(problem, store.text(e.source))}
 
 
 def _is_sound_in_loop(problem: Problem, source: str) -> bool:
@@ -561,5 +561,5 @@ def _kept_estimates(store: Store, checked: CheckedRefit, best: Experiment) -> st
         found = fold_estimates([dict(one.parameters) for one in findings])
     if found is None or not found.parameters:
         return None
-    recipe = read_recipe(store.text(best.proposed.source))
+    recipe = read_recipe(store.text(best.source))
     return put_estimates(store, found, library=recipe is not None and recipe.package == MODELS)

@@ -186,7 +186,7 @@ class Gate:
             if number:
                 e = view.experiment(number)
                 models = [self.store.get(fold.model) for fold in e.folds]
-                source = self.store.text(e.proposed.source)
+                source = self.store.text(e.source)
                 try:
                     self._known[number] = simulated(self.evaluator, source, models, self._blocks)
                 except CandidateError as error:

@@ -49,7 +49,7 @@ from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, p
 from asia.search.decision import decide
 from asia.search.final import refit_winner
 from asia.search.guard import Gate
-from asia.search.pending import PendingFits, keep_folds, keep_output
+from asia.search.pending import PendingFits, keep_folds, keep_output, keep_source
 from asia.search.rules import bound_on_folds, next_leg, stop_reason
 from asia.search.steering import Steering
 
@@ -316,19 +316,22 @@ class Loop:
                     seconds=0.0,
                     duplicate_of=twin.number,
                     isolation=known.isolation,
+                    variants=known.variants,
+                    source=known.source,
                 )
         start, before = time.monotonic(), len(self.evaluator.workers.left_behind)
         fitted = self.pending_fits.take(experiment)
         begin = time.monotonic()
         if fitted is not None:
             self.watch.waited(fitted.lane, begin - start)
-        first = None if fitted is None else fitted.evaluation
+        first = None if fitted is None else fitted.tried
         source = self.store.text(proposed.source)
         decision = decide(self.evaluator, source, view, first, proposed.over, self.gate.confirm)
         evaluation = decision.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = keep_folds(self.store, evaluation.folds)
             output = keep_output(self.store, evaluation.output)
+            scored = keep_source(self.store, decision.tried, proposed)
         now = time.monotonic()
         return Evaluated(
             experiment=experiment.number,
@@ -348,6 +351,8 @@ class Loop:
             ended_folds=evaluation.ended_folds,
             failed_checks=evaluation.failed_checks,
             confirmation=decision.confirmation,
+            variants=decision.tried.variants,
+            source=scored,
         )
 
 

@@ -26,6 +26,7 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
 from asia.problem.protocol import ProtocolRule
+from asia.search.fair_trial import Tried, first_fit
 
 
 def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:
@@ -89,6 +90,12 @@ def keep_output(store: Store, output: str) -> str | None:
     return store.put(output.encode()) if output else None
 
 
+def keep_source(store: Store, tried: Tried, proposed: Proposed) -> str | None:
+    """Store the variant that was scored as an artifact; return None for the proposed source."""
+    name = store.put(tried.source.encode())
+    return None if name == proposed.source else name
+
+
 def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evaluation:
     """The evaluation that was kept; folds: those of the problem. Raises UserError where an artifact
     is missing."""
@@ -125,7 +132,7 @@ def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evalua
 class PendingFit:
     """A first fit that is over."""
 
-    evaluation: Evaluation
+    tried: Tried
     seconds: float
     lane: Lane
     """Profile of the evaluation."""
@@ -161,7 +168,7 @@ class PendingFits:
             twins = (t for t in view.experiments if t.number < e.number)
             begun = e.number in self._under_way or e.landed is not None
             if not begun and all(twin.proposed.digest != digest for twin in twins):
-                self._under_way[e.number] = self._pool.submit(self._fit, e.proposed)
+                self._under_way[e.number] = self._pool.submit(self._fit, e.proposed, view)
 
     def take(self, experiment: Experiment) -> PendingFit | None:
         """Wait for the first fit of an experiment; None where it was not begun."""
@@ -174,7 +181,8 @@ class PendingFits:
         if landed is None:
             return None
         evaluation = evaluation_of(landed, self._evaluator.data.folds, self._store)
-        return PendingFit(evaluation, landed.seconds, Lane())
+        source = self._store.text(landed.source or experiment.proposed.source)
+        return PendingFit(Tried(source, evaluation, landed.variants), landed.seconds, Lane())
 
     def close(self) -> None:
         """End what is under way; it is begun again with the search."""
@@ -184,11 +192,12 @@ class PendingFits:
             self._evaluator.workers.abort()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def _fit(self, proposed: Proposed) -> PendingFit:
+    def _fit(self, proposed: Proposed, view: SearchView) -> PendingFit:
         source = self._store.text(proposed.source)
         begin = time.monotonic()
         with self._evaluator.workers.stopwatch.aside() as lane:
-            evaluation = self._evaluator.evaluate(source, over=proposed.over)
+            tried = first_fit(self._evaluator, source, view, proposed.over)
+        evaluation = tried.evaluation
         seconds = time.monotonic() - begin
         self._on_landed(
             Landed(
@@ -199,9 +208,11 @@ class PendingFits:
                 seconds=seconds,
                 validation_scores=evaluation.validation_scores,
                 ended_folds=evaluation.ended_folds,
+                variants=tried.variants,
+                source=keep_source(self._store, tried, proposed),
             )
         )
-        return PendingFit(evaluation, seconds, lane)
+        return PendingFit(tried, seconds, lane)
 
 
 # Fits of one candidate from several seeds.

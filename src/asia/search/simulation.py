@@ -62,7 +62,7 @@ def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
         if refitted is None or refitted.model is None:
             why = f": {refitted.detail}" if refitted and refitted.detail else ""
             raise UserError(f"run '{run}' has no refitted model{why}")
-        return (FinalMember(best.proposed.source, (refitted.model,)),)
+        return (FinalMember(best.source, (refitted.model,)),)
     if refitted is None or refitted.stack is None:
         raise UserError(
             f"run '{run}' has no stack: it is made at the end of a search, where several "
@@ -83,7 +83,7 @@ def has_model(view: SearchView, use: Use) -> bool:
 def fold_models(experiment: Experiment, weight: float = 1.0) -> FinalMember:
     """The fold models of a scored experiment."""
     models = tuple(fold.model for fold in experiment.folds)
-    return FinalMember(experiment.proposed.source, models, weight)
+    return FinalMember(experiment.source, models, weight)
 
 
 # Bands of a final model, from the held-out simulations that the ledger keeps.
@@ -381,7 +381,7 @@ def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None
     rule, evaluator = problem.protocol, make_evaluator(problem, run.view, isolation=isolation)
     parts = (1 + (rule.residuals == "held_out")) * len(evaluator.data.folds)
     most = _MOST_VALUES // parts // (2 * len(problem.outputs) + len(problem.inputs))
-    source = run.store.text(experiment.proposed.source)
+    source = run.store.text(experiment.source)
     cases: list[SimulatedCase] = []
     for index, (fold, kept) in enumerate(zip(evaluator.data.folds, result.folds, strict=True)):
         blocks = training_excerpt(fold, rule, most)

@@ -133,7 +133,7 @@ class StressRoom:
             if use == "refit":
                 assert refitted.model is not None
                 models = [self._store.get(refitted.model)]
-            source = self._store.text(experiment.proposed.source)
+            source = self._store.text(experiment.source)
             # A mean would hide one model that diverges.
             for y in self._evaluator.models.simulate_together(source, models, self._blocks):
                 if isinstance(y, CandidateError):

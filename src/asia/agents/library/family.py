@@ -93,6 +93,10 @@ class Family:
     """Settings of the first configuration that make it fit in seconds, for tests."""
     timing: Timing = field(default_factory=Timing)
     """Cost of a fit; the default is for a family without measured costs."""
+    path: tuple[str, tuple[float, ...]] | None = None
+    """Setting of the model that decides how far it may go from its start, and its values from
+    stiff to free: where a recipe leaves it open, a search chooses, see `asia.search.fair_trial`.
+    None for a family without."""
     longer: Callable[[Facts], Recipe] | None = None
     """The first configuration with a long fit; None where the first fit is cheap anyway."""
     points: tuple[tuple[Trait, float], ...] = ()

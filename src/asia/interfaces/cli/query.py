@@ -155,7 +155,7 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
             marks = ", ".join("?" * len(row))
             database.execute(f"INSERT INTO experiments VALUES ({marks})", row)
             # Settings of a candidate of the library; of another source there are none.
-            recipe = read_recipe(run.store.text(p.source)) if run.store.kept else None
+            recipe = read_recipe(run.store.text(e.source)) if run.store.kept else None
             for key, value in (*recipe.config, *recipe.options, *recipe.maps) if recipe else ():
                 text = str(value) if isinstance(value, tuple) else value
                 database.execute("INSERT INTO settings VALUES (?, ?, ?, ?)",
@@ -168,7 +168,7 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
     def source(name: str, number: int) -> str | None:
         run = opened.get(name)
         found = [e for e in run.view.experiments if e.number == number] if run else []
-        return run.store.text(found[0].proposed.source) if run and found else None
+        return run.store.text(found[0].source) if run and found else None
 
     database.create_function("source", 2, source)
 

@@ -77,7 +77,7 @@ def show(
     if source:
         if len(shown) > 1:
             raise UserError("--source prints one candidate.py: give one experiment number")
-        hand_over(store.text(shown[0].proposed.source))
+        hand_over(store.text(shown[0].source))
         return
     if as_json:
         for experiment in shown:
@@ -90,7 +90,7 @@ def show(
     if len(shown) > 1:
         for e in shown:
             say(f"#{e.number:02d} {e.proposed.title}: {describe_result(e, view)}")
-        a, b = (store.text(e.proposed.source).splitlines() for e in shown)
+        a, b = (store.text(e.source).splitlines() for e in shown)
         first, second = (f"#{e.number}" for e in shown)
         colours = {"+": "green", "-": "red", "@": "cyan"}
         for line in difflib.unified_diff(a, b, first, second, lineterm=""):
@@ -102,7 +102,7 @@ def show(
             "\ncandidate.py and its output are not here: the ledger came without its artifacts"
         )
         return
-    text = store.text(shown[0].proposed.source)
+    text = store.text(shown[0].source)
     console.print("\ncandidate.py", style="bold")
     if console.is_terminal:
         from rich.syntax import Syntax

@@ -111,7 +111,7 @@ def source_answer(run: Run, number: int) -> SourceAnswer:
         result=None if r is None else ExperimentResult.of(e),
         training=() if r is None else tuple(fold.diagnostics for fold in r.folds),
         evidence=() if r is None else ExperimentEvidence.of(run, number).lines,
-        code=run.store.text(p.source),
+        code=run.store.text(e.source),
     )
 
 
@@ -396,7 +396,7 @@ def make_server(opened: Opened) -> MCPServer[Any]:
                     f"no experiment {n!r}: there are 1 to {len(run.view.experiments)}"
                 )
             e = run.view.experiment(int(n))
-            source = run.store.text(e.proposed.source)
+            source = run.store.text(e.source)
         # A source may hold the fence itself.
         fence = "`" * 3
         while fence in source:

@@ -251,7 +251,7 @@ def _settings(compared: Sequence[Compared]) -> Html | None:
 def _settings_of(one: Compared, e: Experiment) -> dict[str, str]:
     """Family, training method and settings of an experiment, by their names."""
     store = one.subject.run.store
-    recipe = read_recipe(store.text(e.proposed.source)) if store.kept else None
+    recipe = read_recipe(store.text(e.source)) if store.kept else None
     if recipe is None:
         return {"family": e.proposed.family, "training method": "own code"}
     settings = {

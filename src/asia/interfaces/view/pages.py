@@ -165,7 +165,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
         evidence = region("pre", tag("code", "\n".join(lines)), label="evidence")
 
     story = to_pages(experiment_story(subject, e), run.name)
-    source = python(store.text(e.proposed.source), "candidate.py") if store.kept else None
+    source = python(store.text(e.source), "candidate.py") if store.kept else None
     parts = (
         tag("header", title, tag("p", label, " ", value)),
         tag("nav", *links, class_="neighbours", aria_label="Other experiments"),
@@ -410,7 +410,7 @@ def _texts(e: Experiment, subject: Subject) -> list[tuple[str, str]]:
     found += [("tag", one) for one in view.tags(e.number)]
     found += [("note", one.text) for one in view.noted if one.experiment == e.number]
     if store.kept:
-        found.append(("source", store.text(p.source)))
+        found.append(("source", store.text(e.source)))
         if e.result is not None and e.result.output:
             found.append(("printed", store.text(e.result.output)))
     return found
@@ -704,7 +704,7 @@ def importance_part(snapshot: Snapshot) -> Html | None:
     run = snapshot.run
     tried: list[tuple[Recipe, float]] = []
     for e in run.view.finished if run.store.kept else ():
-        recipe = read_recipe(run.store.text(e.proposed.source))
+        recipe = read_recipe(run.store.text(e.source))
         if recipe is not None and e.score is not None and 0 < e.score.value < np.inf:
             tried.append((recipe, e.score.value))
     if not tried:

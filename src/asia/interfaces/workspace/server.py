@@ -555,7 +555,7 @@ class RunDesk:
     def source(self, experiment: int) -> str:
         """An experiment's candidate.py."""
         run = self.run()
-        return run.store.text(run.view.experiment(experiment).proposed.source)
+        return run.store.text(run.view.experiment(experiment).source)
 
     def evidence(self, experiment: int) -> ExperimentEvidence:
         """Return the evidence on a finished experiment besides its score."""

@@ -274,7 +274,7 @@ def write_views(folder: Path, view: SearchView, store: Store) -> None:
     view = published(view)
     texts = {VIEWS[0]: results_table(view), VIEWS[1]: journal(view)}
     if view.best is not None:
-        texts["best.py"] = store.text(view.best.proposed.source)
+        texts["best.py"] = store.text(view.best.source)
     for name, text in texts.items():
         write_file(folder, name, text, mode=0o444)
 

@@ -15,7 +15,7 @@ from asia._heap import LARGE_RECORDS, give_back_large_arrays
 from asia._timer import Activity
 from asia.candidate import Context, check_source, executed_source, library_only
 from asia.data.trajectory import Array, Trajectory, spread_of
-from asia.errors import CandidateError, Reason
+from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.findings import fold_result
 from asia.judge.evaluation.pruning import FoldPruner
 from asia.judge.evaluation.relations import (
@@ -49,10 +49,10 @@ from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.worker.worker import Worker
-from asia.judge.scoring.outcome import Failure, combine
+from asia.judge.scoring.outcome import Failure, combine, score_fold
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
-from asia.problem.folds import Block, Fold, whole
+from asia.problem.folds import Block, Fold, inner_folds, whole
 from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
@@ -80,6 +80,14 @@ class EvaluationData:
     def horizon(self) -> int | None:
         """Samples of a window; None where whole records are simulated."""
         return self.rule.horizon
+
+    @cached_property
+    def inner_folds(self) -> tuple[Fold, ...]:
+        """Folds within the training records of the folds; () where these are too short."""
+        try:
+            return inner_folds(self.folds, self.rule)
+        except UserError:
+            return ()
 
     @cached_property
     def training_blocks(self) -> tuple[Block, ...]:
@@ -319,6 +327,8 @@ class Evaluator:
         self._options = options or EvaluatorOptions()
         self.models = StoredModels(data, workers, self._options)
         self._analysing = threading.Lock()
+        # Of sources as they are executed: the linear model is a variant of many candidates.
+        self._inner_errors: dict[str, tuple[float, ...] | None] = {}
         self._fitter = FoldFitter(
             data.rule, data.context, workers, self._options.problem, self._options.without
         )
@@ -419,6 +429,35 @@ class Evaluator:
             return best_attempt(first, lambda f: f.diagnostics.train_error, others, fitted)
 
         return tuple(self.workers.run([partial(best, place) for place in range(len(results))]))
+
+    def inner_errors(self, sources: Sequence[str]) -> list[tuple[float, ...] | None]:
+        """Fit sources to parts of each fold's training records and simulate the rest.
+
+        Returns:
+            for each source the metric, as it enters V, on successive parts of `inner_folds`; None
+            where a fit or simulation failed
+        """
+        folds, rule = self.data.inner_folds, self.data.rule
+        bare = [executed_source(source) for source in sources]
+
+        def parts(source: str, fold: Fold) -> tuple[float, ...] | None:
+            fitted = self._fitter.fit(source, fold, 0, None).result
+            try:
+                if isinstance(fitted, CandidateError):
+                    raise fitted
+                y = [block.y for block in fold.held_out]
+                return score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=True).parts
+            except CandidateError:
+                return None
+
+        known, count = self._inner_errors, len(folds)
+        new = [s for s in dict.fromkeys(bare) if s not in known]
+        found = self.workers.run([partial(parts, s, fold) for s in new for fold in folds])
+        for place, source in enumerate(new):
+            each = found[place * count : (place + 1) * count]
+            kept = [one for one in each if one is not None]
+            known[source] = tuple(chain.from_iterable(kept)) if len(kept) == count else None
+        return [known[source] for source in bare]
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the

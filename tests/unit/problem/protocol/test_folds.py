@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem.folds import make_folds, whole
+from asia.problem.folds import inner_folds, make_folds, whole
 from asia.problem.protocol import FoldRule, ProtocolRule
 
 
@@ -143,3 +143,36 @@ def test_folds_share_the_records_memory() -> None:
     for fold in make_folds([whole_record], rule):
         for part in (*fold.train, fold.held_out[0].case):
             assert np.shares_memory(part.u, whole_record.u)
+
+
+@given(
+    lengths=st.lists(st.integers(60, 90), min_size=1, max_size=7),
+    count=st.integers(2, 5),
+    past=st.integers(0, 4),
+)
+def test_inner_folds_divide_the_training_records_of_each_fold(
+    lengths: list[int], count: int, past: int
+) -> None:
+    records = [
+        Trajectory(1000.0 * i + r.u, r.y, 1.0, r.name)
+        for i, r in enumerate(record(n, str(i)) for i, n in enumerate(lengths))
+    ]
+    rule = ProtocolRule(folds=FoldRule(count=count), past_inputs=past, past_outputs=past)
+    folds = make_folds(records, rule)
+    found = inner_folds(folds, rule)
+    # All thirds are held out somewhere, and no fold is without one.
+    assert len(found) == max(3, count)
+    assert [one.index for one in found] == list(range(count, count + len(found)))
+    for one in found:
+        trained = {*np.concatenate([t.u[:, 0] for t in one.train])}
+        held = {*np.concatenate([b.case.u[:, 0] for b in one.held_out])}
+        assert not trained & held
+        # They come from one fold, and not from what that holds out.
+        own = [{*np.concatenate([t.u[:, 0] for t in fold.train])} for fold in folds]
+        assert any(trained <= samples and held <= samples for samples in own)
+
+
+def test_records_too_short_for_thirds_have_no_inner_folds() -> None:
+    rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=5, past_outputs=5, horizon=40)
+    with pytest.raises(UserError):
+        inner_folds(make_folds([record(200)], rule), rule)

@@ -1,6 +1,5 @@
 """Linear systems in series with static functions."""
 
-from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Card, Move
@@ -16,7 +15,7 @@ def _searchable(facts: Facts) -> bool:
 
 
 def _start(facts: Facts) -> Recipe:
-    size: Arguments = (("hidden", 8), ("ridge", 1e-5))
+    size: Arguments = (("hidden", 8),)
     if _searchable(facts) and "long" in traits(facts):
         # The searched fit has samples to spare for a fine grid, and its noise floor lies far below
         # what a ridge for short records allows.
@@ -66,12 +65,12 @@ CARD = Card(
             start=_start,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
+            path=("ridge", (1e-1, 1e-3, 1e-5)),
             timing=Timing(start=1.9, unit=4.1e-06),
         ),
     ),
     (
         slow_noise(),
-        *RIDGE_MOVES,
         Move(
             name="search for the two filters",
             weight=lambda c: (

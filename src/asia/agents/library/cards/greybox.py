@@ -2,8 +2,6 @@
 
 from asia.agents.library.equation_moves import (
     EQUATION_MOVES,
-    less_ridge,
-    more_ridge,
     names_of,
     output_offsets,
 )
@@ -13,7 +11,14 @@ from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import has_storage
-from asia.agents.library.trial_evidence import biased, coloured, fails_on_top, input_left, overfit
+from asia.agents.library.trial_evidence import (
+    biased,
+    by_overfit,
+    coloured,
+    fails_on_top,
+    input_left,
+    overfit,
+)
 from asia.agents.view import Facts
 from asia.data.statistics import plateau_share
 
@@ -194,8 +199,20 @@ _MOVES: tuple[Move, ...] = (
         hypothesis="V is near the training error with the network: it may be larger.",
         expected="Lower training error, V follows.",
     ),
-    more_ridge("additions", _ridge),
-    less_ridge(_ridge),
+    Move(
+        name="more ridge",
+        weight=lambda c: by_overfit(c.trial, 0.75, 0.45, 0.1),
+        change=lambda c: _ridge(c, 10.0),
+        hypothesis="V is well above the training error: the additions follow their own fold.",
+        expected="A slightly higher training error and a lower V.",
+    ),
+    Move(
+        name="less ridge",
+        weight=lambda c: 0.5 if overfit(c.trial) < 1.3 else 0.15,
+        change=lambda c: _ridge(c, 0.1),
+        hypothesis="V is near the training error: the priors are too strong.",
+        expected="Lower training error, V follows.",
+    ),
     Move(
         name="robust loss",
         weight=lambda c: (

@@ -1,6 +1,5 @@
 """Hybrid model: the problem's equations with a learned residual."""
 
-from asia.agents.library.equation_moves import less_ridge, more_ridge
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Card
@@ -18,15 +17,15 @@ CARD = Card(
             needs=frozenset({"physics"}),
             irregular=True,
             start=lambda _: Recipe(
-                "hybrid", (("units", 4), ("ridge", 1e-2)), LM, (("iterations", 60), ("starts", 8))
+                "hybrid", (("units", 4),), LM, (("iterations", 60), ("starts", 8))
             ),
             space=lambda _: Space(
                 config=(OneOf("units", (2, 4, 8)), Span("ridge", 1e-4, 1e-1)),
                 options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8))),
             ),
             small=(("units", 4), ("iterations", 3), ("starts", 1)),
+            path=("ridge", (1e-1, 1e-2, 1e-3)),
             timing=Timing(start=0.4, unit=4.7e-05),
         ),
-    ),
-    (more_ridge(), less_ridge()),
+    )
 )

@@ -1,6 +1,5 @@
 """A linear state-space model with small static networks in it."""
 
-from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
@@ -32,7 +31,6 @@ def _start(facts: Facts) -> Recipe:
         functions = *functions, ("pieces", True)
     config: Arguments = (
         *functions,
-        ("ridge", 1e-5),
         ("delay", None),
         *past,
         *integrator_setting(facts),
@@ -224,7 +222,7 @@ _ELEMENTS: tuple[Move, ...] = (
     Move(
         name="static functions beside the element",
         weight=lambda c: 0.7 * _has_element(c) * (c.recipe.get("nonlinearity") == "none"),
-        change=lambda c: c.recipe.configured(nonlinearity="state", hidden=4, ridge=1e-3),
+        change=lambda c: c.recipe.configured(nonlinearity="state", hidden=4),
         hypothesis="The residual next to friction or backlash may be smooth.",
         expected="Lower training error; lower V if the effect is real.",
     ),
@@ -254,11 +252,11 @@ CARD = Card(
             start=_start,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
+            path=("ridge", (1e-1, 1e-3, 1e-5)),
             timing=Timing(start=1.6, unit=2.1e-06),
         ),
     ),
     (
-        *RIDGE_MOVES,
         slow_noise(),
         *integrator_moves(),
         Move(
@@ -307,13 +305,6 @@ CARD = Card(
             "of units reads all states and inputs.",
             expected="A lower training error and V, if frequency and damping of each mode depend "
             "on more than its own amplitude.",
-        ),
-        Move(
-            name="median of several fits",
-            weight=lambda c: 0 if c.recipe.get("members") else 0.55,
-            change=lambda c: c.recipe.configured(members=3).trained(starts=4),
-            hypothesis="Fits from different starts err differently; their median errs less.",
-            expected="A lower and steadier V at the same training error.",
         ),
         Move(
             name="symmetries of the signals",

@@ -1,6 +1,5 @@
 """A linear system with a few static functions in feedback."""
 
-from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
@@ -27,7 +26,6 @@ def _nl_lfr(facts: Facts) -> Recipe:
     config: Arguments = (
         ("channels", channels),
         ("hidden", 12),
-        ("ridge", 1e-6),
         ("delay", None),
         *pieces,
         *integrator_setting(facts),
@@ -66,12 +64,12 @@ CARD = Card(
             start=_nl_lfr,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
+            path=("ridge", (1e-2, 1e-4, 1e-6)),
             timing=Timing(start=6.2, unit=3.3e-05),
             has_static=True,
         ),
     ),
     (
-        *RIDGE_MOVES,
         slow_noise(),
         *integrator_moves(),
         Move(

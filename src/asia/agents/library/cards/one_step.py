@@ -5,7 +5,7 @@ from asia.agents.library.methods import LM
 from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
-from asia.agents.library.trial_evidence import by_overfit, curved
+from asia.agents.library.trial_evidence import curved
 from asia.data.statistics import plateau_share
 
 CARD = Card(
@@ -18,7 +18,7 @@ CARD = Card(
             points=(("short", 0.5), ("windows", -3), ("several", -1)),
             start=lambda _: Recipe(
                 "narx",
-                (("degree", 2), ("delay", 0), ("margin", 0.1), ("coefficient_ridge", 1e-5)),
+                (("degree", 2), ("delay", 0), ("margin", 0.1)),
                 LM,
                 (("iterations", 40),),
             ),
@@ -35,6 +35,7 @@ CARD = Card(
                 options=(OneOf("iterations", (15, 30, 60)),),
             ),
             small=(("iterations", 3),),
+            path=("coefficient_ridge", (1e-1, 1e-3, 1e-5)),
             timing=Timing(start=0.4, unit=3.9e-06),
         ),
         Family(
@@ -85,14 +86,6 @@ CARD = Card(
             change=lambda c: c.recipe.configured(degree=3),
             hypothesis="The nonlinearity is not even.",
             expected="A lower training error, V follows.",
-        ),
-        Move(
-            name="firmer coefficients",
-            families=("narx",),
-            weight=lambda c: by_overfit(c.trial, 0.6, 0.4, 0.2),
-            change=lambda c: c.recipe.times("coefficient_ridge", 30.0, 1e-5),
-            hypothesis="The refinement of the coefficients overfits its fold.",
-            expected="A higher training error and a lower V.",
         ),
     ),
 )

@@ -169,9 +169,9 @@ def _change(subject: Subject, e: Experiment) -> Html | None:
     if not store.kept or parent is None or e.number not in subject.with_source:
         return None
     names = f"#{parent:02d}", f"#{e.number:02d}"
-    old = store.text(subject.view.experiment(parent).proposed.source)
+    old = store.text(subject.view.experiment(parent).source)
     label = f"change of candidate.py from {names[0]} to {names[1]}"
-    lines = change(old, store.text(e.proposed.source), names, label)
+    lines = change(old, store.text(e.source), names, label)
     if lines is None:
         return None
     return tag("details", tag("summary", "change of the code"), lines, class_="change")
@@ -255,7 +255,7 @@ def _write_model(subject: Subject) -> Html | None:
         parts.append(region("div", *rows, class_="equations", label="equations"))
     if not store.kept:
         return join((*parts, tag("p", "The code is missing, because the run has no artifacts.")))
-    source = store.text(p.source)
+    source = store.text(best.source)
     block = python(source, "candidate.py of the winner")
     summary = tag("summary", "candidate.py")
     short = source.count("\n") <= 40

@@ -1,0 +1,107 @@
+"""Fair trial of a candidate: what its recipe leaves open is chosen before it is scored.
+
+One unlucky setting must not decide on an idea. The values of the setting that a family declares,
+from stiff to free, and the linear model that it begins with, are fitted to a part of each fold's
+own training records and simulated on the rest, `asia.problem.folds.inner_folds`. One choice is
+made for all folds, from the errors of all of them: the simplest variant whose mean error is within
+one standard error of the least (Breiman, Friedman, Olshen and Stone, Classification and Regression
+Trees, 1984, section 3.4). Its source is the one that is scored, refitted and handed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from asia.agents.library.recipe import read_recipe
+from asia.agents.library.registry import family
+from asia.judge.evaluation import references
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import Evaluation
+from asia.ledger.events import Variant
+from asia.ledger.view import SearchView
+
+
+@dataclass(frozen=True)
+class Tried:
+    """First fit of a candidate, after the choice of what it left open."""
+
+    source: str
+    """The source that was scored: the candidate's own, or a variant of it."""
+    evaluation: Evaluation
+    variants: tuple[Variant, ...] = ()
+    """Variants that were compared, from simple to free; () where nothing was open."""
+
+
+def first_fit(
+    evaluator: Evaluator, source: str, view: SearchView, over: float | None = None
+) -> Tried:
+    """Choose what a candidate leaves open, then score it on every fold.
+
+    Args:
+        view: state of the search, whose reference is the linear variant
+        over: as in `Evaluator.evaluate`
+    """
+    sources = variants_of(source, linear_source(view))
+    variants: tuple[Variant, ...] = ()
+    if len(sources) > 1 and evaluator.data.inner_folds:
+        variants = compared(list(sources), evaluator.inner_errors(list(sources.values())))
+        source = next((sources[v.name] for v in variants if v.chosen), source)
+    return Tried(source, evaluator.evaluate(source, over=over), variants)
+
+
+def linear_source(view: SearchView) -> str | None:
+    """Source of the best linear model of a search; None where it has none."""
+    if view.reference_value(references.LINEAR_REFERENCE) is None:
+        return None
+    name = references.LINEAR_REFERENCE
+    return next(r.source or references.LINEAR for r in view.references if r.name == name)
+
+
+def variants_of(source: str, linear: str | None) -> dict[str, str]:
+    """Sources of the variants of a candidate, by name, from simple to free; none where it leaves
+    nothing open, or is no recipe of the library.
+
+    Args:
+        linear: source of the linear model, the simplest variant of all families but those that
+            are built on equations
+    """
+    recipe = read_recipe(source)
+    row = None if recipe is None else family(recipe.family)
+    if recipe is None or row is None or row.path is None or recipe.has(row.path[0]):
+        return {}
+    name, values = row.path
+    found = {} if linear is None or row.kind == "equations" else {"linear": linear}
+    for value in values:
+        title = f"{name} {value:g}"
+        found[title] = recipe.configured(**{name: value}).source(f"{row.label}, {title}")
+    return found
+
+
+def compared(
+    names: Sequence[str], errors: Sequence[tuple[float, ...] | None]
+) -> tuple[Variant, ...]:
+    """Compare variants by their errors on the same parts of held-out records, and choose one.
+
+    Args:
+        names: of the variants, from simple to free
+        errors: of each on every part; None where it failed
+    """
+    known = {i: np.array(e) for i, e in enumerate(errors) if e is not None}
+    if not known:
+        return ()
+    best = min(known.values(), key=lambda e: float(e.mean()))
+    behind = {i: e - best for i, e in known.items()}
+    deviation = {
+        i: float(d.std(ddof=1)) / sqrt(len(d)) if len(d) > 1 else 0.0 for i, d in behind.items()
+    }
+    chosen = min(i for i, d in behind.items() if d.mean() <= deviation[i])
+    return tuple(
+        Variant(name, float(known[i].mean()), float(behind[i].mean()), deviation[i], i == chosen)
+        if i in known
+        else Variant(name)
+        for i, name in enumerate(names)
+    )

@@ -1,0 +1,102 @@
+"""What a candidate leaves open is chosen inside the training records, once for all folds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from asia.agents.library.recipe import Recipe, read_recipe
+from asia.agents.library.registry import all_families, family
+from asia.interfaces.cli.show import describe, wide_console
+from asia.judge.evaluation import references
+from asia.judge.evaluation.references import LINEAR
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from asia.search.fair_trial import compared, variants_of
+from asia.search.replay import replay_run
+from asia.search.simulation import simulated_excerpts
+
+from .toy import arx, search_toy
+
+LM = "LevenbergMarquardt", (("iterations", 5), ("starts", 1))
+OPEN = Recipe("neural_ss", (("hidden", 2),), *LM)
+
+
+def test_variants_go_from_the_linear_model_to_the_freest_setting() -> None:
+    found = variants_of(OPEN.source(""), LINEAR)
+    assert list(found) == ["linear", "ridge 0.1", "ridge 0.001", "ridge 1e-05"]
+    assert found["linear"] == LINEAR
+    recipe = read_recipe(found["ridge 0.001"])
+    assert recipe is not None
+    assert recipe.key == OPEN.configured(ridge=1e-3).key
+
+
+@pytest.mark.parametrize(
+    "source",
+    [OPEN.configured(ridge=1e-4).source(""), LINEAR, arx(2), "def fit(:", "x = 1\n"],
+)
+def test_what_is_stated_or_not_of_the_library_stays(source: str) -> None:
+    assert variants_of(source, LINEAR) == {}
+
+
+def test_a_model_built_on_equations_is_not_exchanged_for_a_linear_one() -> None:
+    row = family("hybrid")
+    assert row is not None
+    assert row.kind == "equations"
+    assert "linear" not in variants_of(Recipe("hybrid", (("units", 4),), *LM).source(""), LINEAR)
+
+
+def test_paths_go_from_stiff_to_free() -> None:
+    paths = [row.path[1] for row in all_families() if row.path is not None]
+    assert paths
+    assert all(list(values) == sorted(values, reverse=True) for values in paths)
+
+
+@given(st.integers(0, 10_000))
+def test_the_simplest_within_one_standard_error_is_chosen(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    errors = [tuple(rng.uniform(0.5, 1.5, 24)) for _ in range(4)]
+    found = compared(["a", "b", "c", "d"], errors)
+    best = min(found, key=lambda one: one.error or np.inf)
+    chosen = next(one for one in found if one.chosen)
+    assert sum(one.chosen for one in found) == 1
+    assert best.behind == 0.0
+    assert chosen.behind <= chosen.deviation
+    assert all(one.behind > one.deviation for one in found[: found.index(chosen)])
+
+
+def test_a_failed_variant_is_never_chosen() -> None:
+    found = compared(["linear", "ridge 0.1"], [None, (2.0, 3.0)])
+    assert [one.chosen for one in found] == [False, True]
+    assert found[0].error is None
+    assert compared(["linear", "ridge 0.1"], [None, None]) == ()
+
+
+@pytest.mark.slow
+def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
+    stated = OPEN.configured(ridge=1e-5).source("")
+    directory = search_toy(tmp_path, OPEN.source(""), stated)
+    run = open_run(directory)
+    _, opened, fixed = run.view.experiments
+    assert opened.result is not None
+    assert fixed.result is not None
+    sources = variants_of(OPEN.source(""), references.LINEAR)
+    (chosen,) = (one.name for one in opened.result.variants if one.chosen)
+    assert [one.name for one in opened.result.variants] == list(sources)
+    assert run.store.text(opened.source) == sources[chosen]
+    assert run.store.text(opened.proposed.source) == OPEN.source("")
+    assert fixed.result.variants == ()
+    assert fixed.source == fixed.proposed.source
+    console = wide_console()
+    with console.capture() as shown:
+        describe(console, run, opened)
+    assert "  linear       " in shown.get()
+    assert "<- scored" in shown.get()
+    # All that is made of an experiment is made of the source that was scored.
+    verify(directory)
+    assert simulated_excerpts(run, opened.number) is not None
+    assert replay_run(directory, lambda item: None).agrees
