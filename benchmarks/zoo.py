@@ -5,7 +5,9 @@ square over all outputs and samples, each output in units of its standard deviat
 record. The number that ASIA prints, in units of the output, stands in brackets. Processor seconds
 are those that the system reports for child processes: compare them only between searches with the
 same isolation, because those inside a namespace are not all reported. Finished searches are not
-repeated: the same command resumes. `--asia` may name several installations, the older one first.
+repeated: the same command resumes. `--asia` may name several installations, the older one first,
+each with an agent of its own (`forward=.venv/bin/asia@forward`). The last lines count the
+experiments whose V is above that of the linear model.
 With `--read` no search is started.
 
     python benchmarks/zoo.py --zoo DATA/zoo --runs runs-zoo --asia now=.venv/bin/asia
@@ -50,7 +52,9 @@ def search(asia: str, problem: Path, runs: Path, experiments: int) -> dict[str, 
     env = {**os.environ, "ASIA_RUNS": str(runs)}
     log = (runs / f"{problem.name}.log").open("w", encoding="utf-8")
     start, used = time.monotonic(), children_seconds()
+    asia, _, agent = asia.partition("@")
     command = [asia, "run", str(problem), "--experiments", str(experiments), "--name", problem.name]
+    command += ["--agent", agent] if agent else []
     code = subprocess.run(command, env=env, stdout=log, stderr=log, check=False).returncode
     wall, processor = time.monotonic() - start, children_seconds() - used
     unseal = [asia, "unseal", str(runs / problem.name), "--yes"]
@@ -160,6 +164,29 @@ def _ratio(row: Row, first: Row, name: str) -> str:
     return f"{ours / theirs:.2f}" if ours and theirs and row is not first else "-"
 
 
+def print_lost(found: dict[str, list[dict[str, Any]]]) -> None:
+    """For each version the experiments after the baseline whose V is above the linear model's.
+
+    Args:
+        found: events of the searches of each version
+    """
+    print()
+    for version, searches in found.items():
+        ratios: list[float] = []
+        for events in searches:
+            linear = next(
+                e["outcome"]["value"] for e in events
+                if e["event"] == "rung" and e["name"] == "linear model"
+            )  # fmt: skip
+            outcomes = [e["outcome"] for e in events if e["event"] == "evaluated"][1:]
+            ratios += [o["value"] / linear for o in outcomes if "value" in o]
+        worse = sum(ratio > 1.001 for ratio in ratios), sum(ratio > 1.2 for ratio in ratios)
+        print(
+            f"{version}: {worse[0]} of {len(ratios)} experiments worse than the linear model, "
+            f"{worse[1]} by more than 1.2, the worst {max(ratios, default=1.0):.3g} times"
+        )
+
+
 def print_means(rows: dict[str, dict[str, Row]], versions: list[str]) -> None:
     """Geometric means over the systems that all installations have searched."""
     common = [found for found in rows.values() if len(found) == len(versions)]
@@ -196,6 +223,7 @@ def main() -> None:
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     rows: dict[str, dict[str, Row]] = {}
+    events: dict[str, list[dict[str, Any]]] = {}
     for name in options.systems:
         scales = output_scales(options.zoo / name)
         for version, asia in installed.items():
@@ -205,11 +233,14 @@ def main() -> None:
                 continue
             if not problem.is_dir():
                 shutil.copytree(options.zoo / name, problem, copy_function=shutil.copyfile)
-            row = Row.of(version, search(asia, problem, runs, options.experiments), scales)
+            found = search(asia, problem, runs, options.experiments)
+            row = Row.of(version, found, scales)
+            events.setdefault(version, []).append(found["events"])
             known = rows.setdefault(name, {})
             known[version] = row
             print(row.line(name, known.get(next(iter(installed)), row)), flush=True)
     print_means(rows, list(installed))
+    print_lost(events)
 
 
 if __name__ == "__main__":

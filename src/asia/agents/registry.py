@@ -12,6 +12,7 @@ from asia._plugins import Part, load_target, parts_of
 from asia._text import one_line
 from asia.agents.bayes import BayesAgent
 from asia.agents.expert.agent import ExpertAgent
+from asia.agents.expert.forward import ForwardAgent
 from asia.agents.leading import LeadingAgent
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.settings import LlmSettings
@@ -49,6 +50,12 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         "expert",
         "rules of an experienced engineer, without a language model",
         ExpertAgent,
+        writes_code=False,
+    ),
+    AgentRow(
+        "forward",
+        "adds to the best model the effects that its residual shows",
+        ForwardAgent,
         writes_code=False,
     ),
     AgentRow(

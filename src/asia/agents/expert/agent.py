@@ -228,9 +228,9 @@ def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
     if wish.effect == "family":
         found = [*refinements(view), *untried(view)]
         return _heaviest([option for option in found if option.family == wish.name])
-    for at in _situations(view):
+    for at in situations(view):
         if at.row.name not in unwanted:
-            made = (_moved(at, move) for move in wished_moves(wish, at, all_moves()))
+            made = (moved(at, move) for move in wished_moves(wish, at, all_moves()))
             proposal = next((p for p in made if p is not None), None)
             if proposal is not None:
                 return proposal
@@ -249,7 +249,7 @@ def refinements(view: AgentView) -> Iterator[Option]:
     records speak against is refined only while it leads; while nothing beats the mean, moves that
     vary a model are not made."""
     lost, answer = beats_nothing(view), answers(view)
-    for at in _situations(view):
+    for at in situations(view):
         if at.place > 0 and at.row.doubtful(view.facts):
             continue
         share = _share(at)
@@ -266,11 +266,12 @@ def refinements(view: AgentView) -> Iterator[Option]:
                 sure = weight >= SURE
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
-                make = partial(_moved, at, move)
+                make = partial(moved, at, move)
                 yield Option(at.row.name, weight, make, seconds, sure=sure, move=move.name)
 
 
-def _moved(at: Situation, move: Move) -> Proposal | None:
+def moved(at: Situation, move: Move) -> Proposal | None:
+    """The candidate of a move; None where it is known, or does not go with the records."""
     recipe = move.change(at)
     counted = recipe.maps or any(map(recipe.get, _COUNTED_IN_SAMPLES))
     if "irregular" in traits(at.facts) and counted:
@@ -296,7 +297,8 @@ def _moved(at: Situation, move: Move) -> Proposal | None:
     )
 
 
-def _situations(view: AgentView) -> Iterator[Situation]:
+def situations(view: AgentView) -> Iterator[Situation]:
+    """The best trial of each family, the best first, then those of families that only failed."""
     failed = [trial for trial in reversed(view.trials) if trial.value is None]
     chosen: dict[str, tuple[Trial, Recipe]] = {}
     for trial in (*view.ranked, *failed):
