@@ -25,6 +25,10 @@ from asia.problem.symmetry import Symmetry
 # records, as a user would.
 
 
+LINEAR = "linear"
+"""Variant of a candidate that is the linear model, see `asia.search.fair_trial`."""
+
+
 @dataclass(frozen=True)
 class Effort:
     """Budget of the search: total experiments, and seconds for the fit of a fold."""
@@ -127,6 +131,8 @@ class Trial:
         agent: the proposing agent, "" where the asked agent proposed all
         lowest: with retests, whether its own fit was the best so far
         order: states that the fits report, median over the folds; None where they report none
+        variant: variant that was scored in its place, `LINEAR` for the linear model; "" where it
+            left nothing open
     """
 
     number: int
@@ -149,6 +155,7 @@ class Trial:
     agent: str = ""
     lowest: bool = False
     order: int | None = None
+    variant: str = ""
 
     @property
     def improved(self) -> bool:

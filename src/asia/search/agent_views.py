@@ -201,6 +201,7 @@ def _trial(e: Experiment, store: Store) -> Trial:
         agent=p.agent,
         lowest=r.lowest,
         order=_order(e, store),
+        variant=next((one.name for one in r.variants if one.chosen), ""),
     )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
+from asia.agents.view import LINEAR
 from asia.judge.evaluation import references
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation
@@ -74,7 +75,7 @@ def variants_of(source: str, linear: str | None) -> dict[str, str]:
     if recipe is None or row is None or row.path is None or recipe.has(row.path[0]):
         return {}
     name, values = row.path
-    found = {} if linear is None or row.kind == "equations" else {"linear": linear}
+    found = {} if linear is None or row.kind == "equations" else {LINEAR: linear}
     for value in values:
         title = f"{name} {value:g}"
         found[title] = recipe.configured(**{name: value}).source(f"{row.label}, {title}")

@@ -78,7 +78,8 @@ def test_a_failed_variant_is_never_chosen() -> None:
 
 @pytest.mark.slow
 def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
-    stated = OPEN.configured(ridge=1e-5).source("")
+    # The third is what the second one chooses.
+    stated = variants_of(OPEN.source(""), None)["ridge 0.001"]
     directory = search_toy(tmp_path, OPEN.source(""), stated)
     run = open_run(directory)
     _, opened, fixed = run.view.experiments
@@ -96,6 +97,12 @@ def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
         describe(console, run, opened)
     assert "  linear       " in shown.get()
     assert "<- scored" in shown.get()
+    # A stack has no model twice.
+    assert opened.source == fixed.source
+    assert opened.score == fixed.score
+    assert run.view.refitted is not None
+    stack = run.view.refitted.stack
+    assert stack is None or not {2, 3} <= {member.experiment for member in stack.members}
     # All that is made of an experiment is made of the source that was scored.
     verify(directory)
     assert simulated_excerpts(run, opened.number) is not None

@@ -33,7 +33,14 @@ from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
 from asia.agents.library.traits import names_places, traits
 from asia.agents.library.trial_evidence import overfit
-from asia.agents.view import AgentStoppedError, AgentView, Proposal, Running, Trial
+from asia.agents.view import (
+    LINEAR,
+    AgentStoppedError,
+    AgentView,
+    Proposal,
+    Running,
+    Trial,
+)
 
 SURE = 0.9
 BEHIND = 0.5
@@ -302,7 +309,8 @@ def situations(view: AgentView) -> Iterator[Situation]:
     failed = [trial for trial in reversed(view.trials) if trial.value is None]
     chosen: dict[str, tuple[Trial, Recipe]] = {}
     for trial in (*view.ranked, *failed):
-        recipe = read_recipe(trial.source)
+        # Where the linear model was as good, nothing is known of the family.
+        recipe = None if trial.variant == LINEAR else read_recipe(trial.source)
         if recipe is not None and recipe.family not in chosen:
             chosen[recipe.family] = trial, recipe
     for place, (trial, recipe) in enumerate(chosen.values()):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from asia.agents.library.cards.linear import BEST_LINEAR
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import families, family
-from asia.agents.view import AgentView, Trial
+from asia.agents.view import LINEAR, AgentView, Trial
 
 FAMILIES = 3
 """Families that are tried before any family gets a second refinement, and that are refined before
@@ -55,7 +55,9 @@ class Allocation:
             new = not one.title.endswith(BEST_LINEAR)
             tried[name] += new
             spent[name] += new and one.family != "baseline"
-            value = one.value if isinstance(one, Trial) else None
+            value = None
+            if isinstance(one, Trial) and one.variant != LINEAR:
+                value = one.value
             gained = value is not None and value < (1.0 - _GAIN) * best.get(name, 1e300)
             idle[name] = 0 if gained else idle[name] + 1
             if value is not None:

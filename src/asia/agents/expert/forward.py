@@ -1,14 +1,14 @@
 """Agent that builds a model by forward selection of effects.
 
 1. Families of what the user gave, equations or a simulator, come first, then the ladder of families
-   in the order of their aptness. An effect that explains more than a third of the residual of the
-   best candidate interrupts the ladder.
-2. Effects are added to the best candidate: those that the records or the residual show, by the
-   share of the residual that they explain, then the possible ones. One that does not help is
-   struck out for this candidate.
+   in the order of their aptness, for the first part of the budget. An effect that explains more
+   than a third of the residual of the best candidate interrupts it.
+2. Effects are added to the best candidate, by the share of the residual that they explain. One that
+   does not help is struck out for this candidate.
 3. The best candidate of another family is carried on as well while its error over the folds is
    within one standard error of the best.
-4. After two effects in a row without a gain the next family of the ladder gets its trial.
+4. Where nothing points at an effect, or two in a row did not help, the next family of the ladder
+   gets its trial. Effects that nothing points at come last.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ from asia.agents.view import AgentView, Proposal, Running, Trial
 
 INTERRUPTS = 1 / 3
 """Share of the residual that an effect must explain to come before the next family."""
+LIKELY, _HINT = 0.7, 0.2
+"""Weight of a move from which the residual points at it, and the share that counts for it."""
 PATIENCE = 2
 """Effects in a row without a gain after which another family is tried."""
 
@@ -53,9 +55,10 @@ class ForwardAgent(ExpertAgent):
         )
         given = [option for option in new if option.family in GIVEN]
         shown = [option for option in found if option.weight >= INTERRUPTS]
+        likely = [option for option in found if option.weight > 0.0]
         ladder = [option for option in new if option.apt]
         waiting = view.phase == "explore" or _idle(view) >= PATIENCE
-        turns = [*given, *shown, *(ladder if waiting else ()), *found, *new]
+        turns = [*given, *shown, *(ladder if waiting else ()), *likely, *ladder, *found, *new]
         return next((p for option in turns if (p := option.make()) is not None), None)
 
 
@@ -71,7 +74,8 @@ def effects(view: AgentView) -> Iterator[Option]:
             possible = move.weight(at) if move.applies(at) else 0.0
             if possible <= 0.0 or (lost and not keeps_course(move)):
                 continue
-            evidence = 1.0 if possible >= SURE else share if move.name in answer else 0.0
+            evidence = 1.0 if possible >= SURE else _HINT if possible >= LIKELY else 0.0
+            evidence = max(evidence, share if move.name in answer else 0.0)
             title = move.title(at)
             tries = sum(_without_gain(one) for one in view.proposed if _is(one, title))
             recipe = at.recipe if move.same_effort else move.change(at)
