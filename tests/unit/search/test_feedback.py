@@ -19,13 +19,13 @@ from asia.interfaces.workspace.workspace import write_views
 from asia.judge.evaluation import evaluator as evaluator_module
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.relations import Suspicion, SuspicionKind
-from asia.judge.evaluation.results import Evaluation
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import protocol_digest
 from asia.search.decision import Decision, decide_by_one_fit
+from asia.search.fair_trial import Tried
 from asia.search.run import prepare, search, with_early_stopping
 from tests.redteam import arena
 from tests.redteam.attacks import probing
@@ -176,7 +176,7 @@ def judged_as_without_the_ladder(
     evaluator: Evaluator,
     source: str,
     view: SearchView,
-    first: Evaluation | None = None,
+    first: Tried | None = None,
     over: float | None = None,
     confirm: object = None,
 ) -> Decision:
@@ -185,9 +185,10 @@ def judged_as_without_the_ladder(
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
     if decide_by_one_fit(evaluation.outcome, view) != "keep":
-        return Decision(evaluation, "discard")
+        return Decision(Tried(source, evaluation), "discard")
     outcome = evaluator.objection(source, ()) or evaluation.outcome
-    return Decision(replace(evaluation, outcome=outcome), decide_by_one_fit(outcome, view))
+    tried = Tried(source, replace(evaluation, outcome=outcome))
+    return Decision(tried, decide_by_one_fit(outcome, view))
 
 
 @pytest.mark.parametrize(

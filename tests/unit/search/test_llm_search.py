@@ -299,6 +299,7 @@ def unjudged(searched: Searched, factor: float = 1.0) -> Any:
         from asia.judge.evaluation.results import Evaluation
         from asia.judge.scoring.outcome import Score
         from asia.search.decision import Decision
+        from asia.search.fair_trial import Tried
 
         number = view.pending.number
         result = searched.run.view.experiment(number).result
@@ -306,6 +307,6 @@ def unjudged(searched: Searched, factor: float = 1.0) -> Any:
         outcome = result.outcome
         if isinstance(outcome, Score):
             outcome = replace(outcome, value=outcome.value * factor)
-        return Decision(Evaluation(outcome), result.status, result.retests)
+        return Decision(Tried(source, Evaluation(outcome)), result.status, result.retests)
 
     return decide

@@ -30,6 +30,7 @@ from asia.ledger.text import hand_over_text
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
 from asia.search.decision import Decision
+from asia.search.fair_trial import Tried
 from asia.search.replay import replay_run
 from tests.unit.agents.fake_llm import FakeServer, fake_llm, said
 from tests.unit.search.toy import Scripted, arx, write_problem
@@ -46,7 +47,7 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         evaluator: Evaluator,
         source: str,
         view: SearchView,
-        first: Evaluation | None = None,
+        first: Tried | None = None,
         over: float | None = None,
         confirm: object = None,
     ) -> Decision:
@@ -60,7 +61,7 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         value = 0.1 + number / 2**32
         lower = best is None or best.score is None or value < best.score.value
         evaluation = replace(known[0], outcome=replace(outcome, value=value))
-        return Decision(evaluation, "keep" if lower else "discard")
+        return Decision(Tried(source, evaluation), "keep" if lower else "discard")
 
     def refit(self: Evaluator, source: str, attempts: object = ()) -> None:
         raise CandidateError(Reason.CRASH, "made up")
