@@ -5,6 +5,7 @@ correct; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 t
 """
 
 import inspect
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -273,9 +274,18 @@ def main() -> None:
         signal.signal(signal.SIGTERM, before)
 
 
+_ASSIGNED = re.compile(r"[^-=/]+=[^=]")
+
+
 def spread(words: list[str]) -> list[str]:
     """Repeat a list option before each of its words: `--train a.csv b.csv` becomes `--train a.csv
-    --train b.csv`."""
+    --train b.csv`. Raises UserError for a second NAME=VALUE after an option that takes one word."""
+    for option, first, second in zip(words, words[1:], words[2:], strict=False):
+        if option.startswith("--") and all(map(_ASSIGNED.match, (first, second))):
+            raise UserError(
+                f"'{second}' belongs to no option: {option} takes one word, so write "
+                f"{option} {first},{second}"
+            )
     known = {
         "init": init.LISTS,
         "validate": ("--columns",),

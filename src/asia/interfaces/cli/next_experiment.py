@@ -6,6 +6,7 @@ import json as jsonlib
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -118,10 +119,11 @@ def next_(
 def _named(
     option: str, texts: Sequence[str] | None, names: Sequence[str], short: str
 ) -> list[tuple[str, str, str]]:
-    """Name of the signal, value and the whole text of NAME=VALUE; a single signal may have the
-    short name or none."""
+    """Name of the signal, value and the whole text of each NAME=VALUE, several separated by commas;
+    a single signal may have the short name or none."""
     found: list[tuple[str, str, str]] = []
-    for text in texts or ():
+    whole = [[t] if t.rpartition("=")[0] in names else t.split(",") for t in texts or ()]
+    for text in chain.from_iterable(whole):
         side, _, value = text.rpartition("=")
         if len(names) == 1 and side in ("", short):
             side = names[0]
