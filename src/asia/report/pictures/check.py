@@ -23,6 +23,7 @@ from asia.report.drawing.style import (
     axis_label,
     entitle,
     figure_legend,
+    names_that_fit,
     picture_width,
     plain,
     quiet_grid,
@@ -140,13 +141,13 @@ def _names(
     several records."""
     spans: list[tuple[str, float]] = []
     if len(chosen) > 1:
-        room = characters // len(chosen)
         groups = {n: g.name for g in problem.protocol.folds.groups for n in g.records}
         named = [groups.get(problem.train[i].name, problem.train[i].name) for i in chosen]
-        for name, part in groupby(zip(named, axis.times, strict=True), key=lambda pair: pair[0]):
-            times = [time for _, time in part]
-            middle = float(times[0][0] + times[-1][-1]) / 2
-            spans.append((plain(name, max(room * len(times), 4)), middle))
+        groups_of = groupby(zip(named, axis.times, strict=True), key=lambda pair: pair[0])
+        parts = [(name, np.concatenate([time for _, time in part])) for name, part in groups_of]
+        names = names_that_fit([n for n, _ in parts], [time for _, time in parts], characters)
+        middles = [float(time[0] + time[-1]) / 2 for _, time in parts]
+        spans = list(zip(names, middles, strict=True))
     elif len(folds) <= 10:
         time = axis.times[0]
         spans = [
