@@ -172,12 +172,12 @@ def threshold_text(view: SearchView) -> str:
     if held is None or threshold is None:
         return ""
     values = held.seed_values
+    mean, number = error_value(fmean(values)), f"#{held.number:02d}"
     if len(values) == 1:
         return (
-            f"the fits of #{held.number:02d} do not depend on the seed, so only the variance of "
-            "the next candidate sets the threshold"
+            f"a candidate is kept if its mean V is below {mean}, the V of {number}, by more than "
+            f"its own V varies with the seed; the fits of {number} do not depend on the seed"
         )
-    mean, number = error_value(fmean(values)), f"#{held.number:02d}"
     text = (
         f"a candidate is kept if its mean V is more than {threshold:.2g} below {mean}, the mean of "
         f"{number} over {len(values)} seeds"
