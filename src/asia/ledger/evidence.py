@@ -643,7 +643,8 @@ _FITTED: TypeAdapter[EstimatedModel] = TypeAdapter(EstimatedModel)
 
 def fold_estimates(tables: Sequence[Mapping[str, float]]) -> EstimatedModel | None:
     """Parameters of a model without a refit: means over its fold models, with their scatter as
-    error. None where the fold models do not name the same ones, or there is only one.
+    error and no interval: few folds carry none, and do not show a missing effect. None where the
+    fold models do not name the same ones, or there is only one.
 
     Args:
         tables: as in `with_fold_values`
@@ -656,11 +657,11 @@ def fold_estimates(tables: Sequence[Mapping[str, float]]) -> EstimatedModel | No
         values = [table[name] for table in tables]
         value = math.fsum(values) / len(values)
         error = jackknife_error(value, values)
-        wide = FOLD_QUANTILE * error
-        found.append(
-            EstimatedParameter(name, "", value, error, value - wide, value + wide, None, None, 1.0)
-        )
-    source = "mean over the fold models with their scatter as error, because there is no refit"
+        found.append(EstimatedParameter(name, "", value, error, None, None, None, None, 1.0))
+    source = (
+        "mean over the fold models with their scatter as error, because there is no refit; the "
+        f"scatter of {len(tables)} fold models carries no interval"
+    )
     return EstimatedModel(tuple(found), (), (), source=source)
 
 
@@ -682,18 +683,38 @@ def identified(run: Run) -> IdentifiedModel | None:
     refitted = run.view.refitted
     if refitted is None or refitted.estimates is None or not run.store.kept:
         return None
+    fitted = get_estimates(run.store, refitted.estimates)
+    return _beside_folds(run, run.view.experiment(refitted.experiment), fitted)
+
+
+def identified_by_folds(
+    run: Run, experiment: Experiment, *, library: bool
+) -> IdentifiedModel | None:
+    """The parameters of an experiment that was not refitted, by its fold models; None without them.
+
+    Args:
+        library: as in `EstimatedModel`
+    """
+    fitted = fold_estimates(_fold_tables(run, experiment)) if run.store.kept else None
+    fitted = fitted and replace(fitted, library=library)
+    return fitted and _beside_folds(run, experiment, fitted)
+
+
+def _fold_tables(run: Run, experiment: Experiment) -> list[Mapping[str, float]]:
+    findings = findings_of(run.store, experiment, bounded=False)
+    return [dict(one.parameters) for one in findings]
+
+
+def _beside_folds(run: Run, experiment: Experiment, fitted: EstimatedModel) -> IdentifiedModel:
     try:
         lock = tomllib.loads((run.directory / "problem.lock.toml").read_text("utf-8"))
         one_sided = lock["protocol"]["folds"]["kind"] in ("forward", "tail")
     except (OSError, ValueError, KeyError, TypeError):
         one_sided = False
-    fitted = get_estimates(run.store, refitted.estimates)
-    findings = findings_of(run.store, run.view.experiment(refitted.experiment), bounded=False)
-    tables = [dict(one.parameters) for one in findings]
-    rows = with_fold_values(fitted, tables, jackknife=not one_sided)
+    rows = with_fold_values(fitted, _fold_tables(run, experiment), jackknife=not one_sided)
     return IdentifiedModel(
-        refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library,
-        fitted.reason, fitted.source, run.view.experiment(refitted.experiment).fit,
+        experiment.number, rows, fitted.correlation, fitted.equations, fitted.library,
+        fitted.reason, fitted.source, experiment.fit,
     )  # fmt: skip
 
 
