@@ -5,14 +5,15 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import fmean, variance
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from asia._statement import NOT_IDENTIFIABLE, Statement, stated
+from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, Statement, stated
 from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
@@ -545,10 +546,16 @@ class IdentifiedParameter:
             wide = max(self._by_folds, one.misfit_error)
             ends = interval_ends(one.value, one.low, one.high, one.lower, wide)
         unknown = one.standard_error is not None and not one.identifiable
-        return stated(
-            one.value, ends, one.unit, reason=NOT_IDENTIFIABLE if unknown else "",
+        state = partial(
+            stated, one.value, unit=one.unit, reason=NOT_IDENTIFIABLE if unknown else "",
             at_bound=one.at_bound, positive=one.lower is not None and one.lower > 0.0,
         )  # fmt: skip
+        found = state(ends)
+        if ends is not None and found.interval is None:
+            by_noise = one.low, one.high
+            if None not in by_noise and state(cast("tuple[float, float]", by_noise)).interval:
+                return replace(found, reason=UNSETTLED)
+        return found
 
     @property
     def decided_by(self) -> Literal["noise", "folds", "missing effect"]:

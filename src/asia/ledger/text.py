@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from statistics import fmean, median
 from typing import Any
 
-from asia._statement import NOT_IDENTIFIABLE, fit_note
+from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, fit_note
 from asia._text import coarse, one_line
 from asia.judge.evaluation.results import POOR
 from asia.judge.evaluation.training_checks import TrainingCheck
@@ -303,6 +303,8 @@ def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Itera
     wide = one.statement.reason == NOT_IDENTIFIABLE
     if wide or not (fitted.identifiable or found.reason):
         yield NOT_IDENTIFIABLE
+    elif one.statement.reason == UNSETTLED:
+        yield UNSETTLED
     elif ends is not None and ends[1] - ends[0] > abs(fitted.value):
         yield "interval wider than the value"
     if fitted.at_bound:

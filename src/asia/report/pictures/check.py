@@ -208,7 +208,9 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
         values = answer.delay.correlation[:lags]
         axes.vlines(np.arange(len(values)), 0.0, values, color=BLUE, lw=1.5)
         axes.axhspan(-answer.delay.band, answer.delay.band, color=INK, alpha=0.15, lw=0.0)
-        lag = answer.delay.lag
+        lag, ends = answer.delay.lag, answer.delay.interval
+        if ends is not None:
+            axes.hlines(0.0, *ends, color=ORANGE, lw=4.0, alpha=0.6)
         if lag is not None and lag < len(values):
             axes.plot([lag], [answer.delay.correlation[lag]], "o", ms=4.0, color=ORANGE)
         quiet_grid(axes)
@@ -218,8 +220,8 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
     for axes, name in zip(grid[0], inputs, strict=True):
         axes.set_title(plain(name, 20))
     figure.supxlabel(
-        "lag [samples]; grey: what one of a hundred files exceeds by chance, over all panels; dot: "
-        "the delay",
+        "lag [samples]; grey: what one of a hundred files exceeds by chance, over all panels;\n"
+        "dot and line: the delay and its 95 % interval, by a process model of all lags together",
         fontsize="medium",
     )
     entitle(figure, f"{plain(problem.name, 30)}: correlation of inputs with outputs, whitened")
