@@ -12,7 +12,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 SILENCE = 4.0
-"""Seconds between lines, or a tenth of the elapsed time if that is longer."""
+"""Seconds between lines."""
 
 
 @dataclass
@@ -54,6 +54,13 @@ def tracked(items: Sequence[T], text: str) -> Iterator[T]:
             loops.remove(own)
 
 
+def now_doing(text: str) -> None:
+    """Name what a command does that counts nothing, in place of what it did before."""
+    loops = _LOOPS.get()
+    if loops is not None:
+        loops[:] = [*(one for one in loops if one.total), _Loop(text, 0)]
+
+
 def progress_line(
     command: str, elapsed: float, loops: Sequence[tuple[str, int, int, float, float]]
 ) -> str:
@@ -61,15 +68,18 @@ def progress_line(
 
     Args:
         elapsed: seconds since its start
-        loops: text, completed and all items of each loop, seconds from its start to its last
-            completed step, and seconds since then, the outermost first
+        loops: text, completed and all items of each loop (0 for a step that counts nothing),
+            seconds from its start to its last completed step, and seconds since then, the outermost
+            first
     """
     if not loops:
         return f"{command}: {elapsed:.0f} s"
     share = 0.0
     for _, done, total, *_ in reversed(loops):
         share = min((done + share) / max(total, 1), 1.0)
-    steps = ", ".join(f"{text} {min(done + 1, n)} of {n}" for text, done, n, *_ in loops)
+    steps = ", ".join(
+        f"{text} {min(done + 1, n)} of {n}" if n else text for text, done, n, *_ in loops
+    )
     # The longest known duration is that of the outermost loop.
     worked, since = loops[0][3:]
     left = worked * (1.0 - share) / share - since if share > 0 else 0.0
@@ -87,7 +97,7 @@ def reported(command: str, say: Callable[[str], None]) -> Generator[None]:
     loops, done, begin = list[_Loop](), Event(), monotonic()
 
     def watch() -> None:
-        while not done.wait(max(SILENCE, 0.1 * (monotonic() - begin))):
+        while not done.wait(SILENCE):
             now = monotonic()
             known = [
                 (one.text, one.done, one.total, one.stepped - one.begin, now - one.stepped)

@@ -10,6 +10,7 @@ LEAST_FIT = 80.0
 # Ratio of the ends of an interval of a positive quantity from which records do not determine it.
 _WIDE = 10.0
 NOT_IDENTIFIABLE = "not identifiable from these records"
+UNSETTLED = "no interval: its ends by the folds or a missing effect are a factor of 10 apart"
 
 
 @dataclass(frozen=True)

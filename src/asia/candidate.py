@@ -71,6 +71,9 @@ class Context:
     for a simulation that is not finite. There are VALIDATION_SCORES calls a fit, then it raises
     RuntimeError; its time counts as fit time. None unless the protocol's early_stopping is
     "validation", and None then too where nothing is held out: in the refit on all data."""
+    fold_models: Callable[[], Sequence[Model]] = field(default=tuple[()], compare=False)
+    """fold_models(): models of the folds, which a refit on all data may start from; () in the fits
+    of the folds and where a refit starts anew."""
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     """Changes of the signals that leave the system's laws as they are, by name: for each signal
     that changes, the one that takes its place, with a minus where its sign changes."""

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia import _progress
-from asia._progress import progress_line, reported, tracked
+from asia._progress import now_doing, progress_line, reported, tracked
 
 
 def test_a_line_names_the_step_and_estimates_the_remaining_time() -> None:
@@ -54,3 +54,26 @@ def test_items_are_counted_where_a_command_runs_and_pass_unchanged_elsewhere(
             if item == 2:
                 assert printed.wait(30)
     assert all(line.startswith("check: ") for line in lines)
+
+
+def test_a_step_that_counts_nothing_is_named_until_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert progress_line("run", 9.0, [("refit", 0, 0, 0.0, 5.0)]) == "run: 9 s, refit"
+    monkeypatch.setattr(_progress, "SILENCE", 0.01)
+    now_doing("nobody listens")
+    lines, printed = list[str](), Event()
+
+    def say(line: str) -> None:
+        lines.append(line.partition(", ")[2])
+        if lines[-1] == "second":
+            printed.set()
+
+    with reported("run", say):
+        now_doing("first")
+        now_doing("second")
+        assert printed.wait(30)
+        for _ in tracked([1], "item"):
+            now_doing("third")
+            assert progress_line("run", 1.0, []) == "run: 1 s"
+    assert set(lines) <= {"", "first", "second", "item 1 of 1", "item 1 of 1, third", "third"}

@@ -68,7 +68,7 @@ class LinearEvidence:
         return [
             f"proposed  linear model of order {self.order}"
             + (f", delay {counts}" if counts else "")
-            + (f", time constants {times}" if times else ""),
+            + (f", time constant{'s' * (len(self.time_constants) > 1)} {times}" if times else ""),
             f"evidence  error on inner held-out blocks, in standard deviations, by order: {orders}"
             if orders
             else f"evidence  a process model leaves {self.error:.2g} standard deviations, "

@@ -472,6 +472,8 @@ class RunExperiment:
     """(ny,)"""
     rest: tuple[Array, Array]
     """Input (nu,) and output (ny,) before the record."""
+    disturbances: tuple[tuple[Signal, float], ...]
+    """Inputs that the plan does not set, each with the value at which it is held."""
     parameters: tuple[LearnedParameter, ...]
     notes: tuple[str, ...]
 
@@ -528,6 +530,9 @@ def next_experiment(
     means = zip(problem.inputs, every.mean(axis=0).tolist(), strict=True)
     rest: Array = np.array([given.get(signal.name, mean) for signal, mean in means])
     begin = rest[actuated]
+    others = tuple(
+        (s, float(v)) for s, v in zip(problem.inputs, rest, strict=True) if not s.is_actuated
+    )
     if not ((ends[:, 0] <= begin) & (begin <= ends[:, 1])).all():
         raise UserError(
             f"the record begins at {begin.tolist()}, outside the limits {ends.tolist()}: give "
@@ -603,7 +608,7 @@ def next_experiment(
         gained = () if identify is None else identify.gained(found, noise)
         return RunExperiment(
             run.name, inputs, problem.outputs, problem.sampling_time, found, noise,
-            (begin, at_rest), gained,
+            (begin, at_rest), others, gained,
             tuple(
                 f"models of #{n:02d} diverge within the limits and are left out"
                 for n in values if found.members.count(n) < numbers.count(n)

@@ -20,6 +20,7 @@ from functools import lru_cache, partial, wraps
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Mask, Trajectory, deviations, is_constant
 from asia.errors import UserError
@@ -249,27 +250,27 @@ class _Data:
         ends = np.cumsum(self.lengths)[:-1].tolist()
         self._by_record = partial(np.split, indices_or_sections=ends)
         self.most_delay = self.longest / 3.0
+        # Records side by side, so that they are filtered together.
+        self._inside = np.arange(self.longest) < np.array(self.lengths)[:, None]
+        self._time = np.concatenate([np.arange(n) for n in self.lengths])
+        self._initial = np.repeat([v[0] for v in self.u], self.lengths, axis=0)
+        self._moves = np.zeros((self.longest, len(self.u), len(self.moving)))
+        for k, v in enumerate(self.u):
+            self._moves[: len(v), k] = v - v[0]
         self._columns = lru_cache(maxsize=256)(self._input_columns)
         self._kept = lru_cache(maxsize=8)(self._measured_rows)
 
     # Regressors.
 
-    def _input_columns(
-        self, j: int, structure: ProcessStructure, phi: tuple[float, ...]
-    ) -> tuple[Array, ...]:
-        """Outputs (T, 1 or 2) of each record for unit weights of one input."""
+    def _input_columns(self, j: int, structure: ProcessStructure, phi: tuple[float, ...]) -> Array:
+        """Outputs (rows, 1 or 2) of all records for unit weights of one input."""
         chain = _Chain(np.exp(np.array(phi[:-1])), structure)
-        filters = chain.filters(phi[-1])
-        parts: list[Array] = []
-        for u in self.u:
-            first, time = u[0, j], np.arange(len(u))
-            moved = chain.outputs(u[:, j] - first, *filters)
-            steady = first * (time if structure.integrator else 1.0)
-            rest = [first * structure.integrator] * structure.zero
-            parts.append(np.stack(
-                [m + s for m, s in zip(moved, [steady, *rest], strict=True)], axis=1
-            ))  # fmt: skip
-        return tuple(parts)
+        moved = chain.outputs(self._moves[:, :, j], *chain.filters(phi[-1]))
+        first = self._initial[:, j]
+        steady = first * (self._time if structure.integrator else 1.0)
+        rest = [first * structure.integrator] * structure.zero
+        pairs = zip(moved, [steady, *rest], strict=True)
+        return np.stack([m.T[self._inside] + s for m, s in pairs], axis=1)
 
     def _decays(self, at: _State) -> Array:
         """Free responses (longest, q) of the lags of all inputs."""
@@ -281,7 +282,7 @@ class _Data:
         """Whitened regressors and outputs of all measured samples."""
         integrator = any(s.integrator for s in at.structures)
         forced = [
-            np.concatenate(self._columns(j, s, tuple(at.phi[p].tolist())))
+            self._columns(j, s, tuple(at.phi[p].tolist()))
             for j, (s, p) in enumerate(zip(at.structures, at.slices(), strict=True))
         ]
         own = np.ones((self.longest, 1 if integrator else 0))
@@ -342,10 +343,7 @@ class _Data:
                 ends[1][k] -= step * (k < len(phi) - 1 or phi[k] >= step)
                 a, b = (self._columns(j, s, tuple(e.tolist())) for e in ends)
                 width = ends[0][k] - ends[1][k]
-                moved = np.concatenate(
-                    [(one - two) @ own / width for one, two in zip(a, b, strict=True)]
-                )
-                columns.append(self._white(moved, at.skipped, at.noise))
+                columns.append(self._white((a - b) @ own / width, at.skipped, at.noise))
         return np.stack(columns, axis=1)
 
     # Search.
@@ -503,7 +501,7 @@ class _Data:
                 (_, lag, delay), j = max(found, key=lambda f: f[0][0])
                 lags[j], delays[j] = lag, delay
                 phi = (math.log(lag), float(delay)) if simple[j].lags else (float(delay),)
-                parts[j] = [c[:, 0] for c in self._columns(j, simple[j], phi)]
+                parts[j] = self._by_record(self._columns(j, simple[j], phi)[:, 0])
                 order.remove(j)
                 ranked += [j] * (turn == 0)
 
@@ -535,8 +533,8 @@ class _Data:
         size = 1 << (2 * self.longest - 1).bit_length()
         most = int(self.most_delay)
         best = (-1.0, float(shares[0]), 0.0)
-        targets: list[Array] = []
-        bases: list[Array] = []
+        # Spectra of what is explained, and of what the others explain, by record.
+        spectra: list[tuple[NDArray[Any], NDArray[Any]]] = []
         for r, (y, seen) in enumerate(zip(self.y, self.seen, strict=True)):
             time = np.arange(len(y)) / self.longest
             x = (
@@ -547,22 +545,20 @@ class _Data:
             )
             basis = np.linalg.qr(x)[0]
             target = np.where(seen, y, 0.0)
-            targets.append(target - basis @ (basis.T @ target))
-            bases.append(basis)
+            left = target - basis @ (basis.T @ target)
+            spectra.append((np.fft.rfft(left, size), np.fft.rfft(basis, size, axis=0)))
         for share in shares if structure.lags else shares[:1]:
             phi = (math.log(share), 0.0) if structure.lags else (0.0,)
-            columns = self._columns(j, structure, phi)
+            columns = self._by_record(self._columns(j, structure, phi)[:, 0])
             product, energy = np.zeros(most + 1), np.zeros(most + 1)
-            for r, (target, basis) in enumerate(zip(targets, bases, strict=True)):
-                column = columns[r][:, 0] - columns[r][0, 0]
+            for one, (target, basis) in zip(columns, spectra, strict=True):
+                column = one - one[0]
                 spectrum = np.fft.rfft(column, size).conj()
-                product += np.fft.irfft(np.fft.rfft(target, size) * spectrum, size)[: most + 1]
+                product += np.fft.irfft(target * spectrum, size)[: most + 1]
                 count = min(most + 1, len(column))
                 kept = np.cumsum(column**2)[::-1]
                 energy[:count] += kept[:count]
-                shared = np.fft.irfft(
-                    np.fft.rfft(basis, size, axis=0) * spectrum[:, None], size, axis=0
-                )[: most + 1]
+                shared = np.fft.irfft(basis * spectrum[:, None], size, axis=0)[: most + 1]
                 energy -= (shared**2).sum(axis=1)
             whole = float(max(energy.max(), 1e-300))
             explained = np.where(energy > 1e-6 * whole, product**2 / np.maximum(energy, 1e-300), 0)
@@ -765,7 +761,7 @@ class _Data:
         place = 0
         for j, (s, p) in enumerate(zip(at.structures, at.slices(), strict=True)):
             columns = self._columns(j, s, tuple(at.phi[p].tolist()))
-            found.append([c @ weights[place : place + 1 + s.zero] for c in columns])
+            found.append(self._by_record(columns @ weights[place : place + 1 + s.zero]))
             place += 1 + s.zero
         return found
 
@@ -958,8 +954,9 @@ class _Chain:
         return whole, [np.convolve(self.denominator, r)[: order + 1] for r in responses]
 
     def outputs(self, u: Array, whole: int, numerators: Sequence[Array]) -> list[Array]:
-        """Outputs (T,), one for each numerator, from rest."""
+        """Outputs for inputs (T, R), one for each numerator, from rest."""
         from scipy.signal import lfilter
 
-        late = np.concatenate([np.zeros(whole), u])[: len(u)]
-        return [np.asarray(lfilter(b, self.denominator, late), np.float64) for b in numerators]
+        late = np.concatenate([np.zeros((whole, *u.shape[1:])), u])[: len(u)]
+        filtered = [lfilter(b, self.denominator, late, axis=0) for b in numerators]
+        return [np.asarray(one, np.float64) for one in filtered]

@@ -5,14 +5,15 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import fmean, variance
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from asia._statement import NOT_IDENTIFIABLE, Statement, stated
+from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, Statement, stated
 from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
@@ -549,10 +550,16 @@ class IdentifiedParameter:
             wide = max(self._by_folds, one.misfit_error)
             ends = interval_ends(one.value, one.low, one.high, one.lower, wide)
         unknown = one.standard_error is not None and not one.identifiable
-        return stated(
-            one.value, ends, one.unit, reason=NOT_IDENTIFIABLE if unknown else "",
+        state = partial(
+            stated, one.value, unit=one.unit, reason=NOT_IDENTIFIABLE if unknown else "",
             at_bound=one.at_bound, positive=one.lower is not None and one.lower > 0.0,
         )  # fmt: skip
+        found = state(ends)
+        if ends is not None and found.interval is None:
+            by_noise = one.low, one.high
+            if None not in by_noise and state(cast("tuple[float, float]", by_noise)).interval:
+                return replace(found, reason=UNSETTLED)
+        return found
 
     @property
     def decided_by(self) -> Literal["noise", "folds", "missing effect"]:
@@ -647,7 +654,8 @@ _FITTED: TypeAdapter[EstimatedModel] = TypeAdapter(EstimatedModel)
 
 def fold_estimates(tables: Sequence[Mapping[str, float]]) -> EstimatedModel | None:
     """Parameters of a model without a refit: means over its fold models, with their scatter as
-    error. None where the fold models do not name the same ones, or there is only one.
+    error and no interval: few folds carry none, and do not show a missing effect. None where the
+    fold models do not name the same ones, or there is only one.
 
     Args:
         tables: as in `with_fold_values`
@@ -660,11 +668,11 @@ def fold_estimates(tables: Sequence[Mapping[str, float]]) -> EstimatedModel | No
         values = [table[name] for table in tables]
         value = math.fsum(values) / len(values)
         error = jackknife_error(value, values)
-        wide = FOLD_QUANTILE * error
-        found.append(
-            EstimatedParameter(name, "", value, error, value - wide, value + wide, None, None, 1.0)
-        )
-    source = "mean over the fold models with their scatter as error, because there is no refit"
+        found.append(EstimatedParameter(name, "", value, error, None, None, None, None, 1.0))
+    source = (
+        "mean over the fold models with their scatter as error, because there is no refit; the "
+        f"scatter of {len(tables)} fold models carries no interval"
+    )
     return EstimatedModel(tuple(found), (), (), source=source)
 
 
@@ -686,18 +694,38 @@ def identified(run: Run) -> IdentifiedModel | None:
     refitted = run.view.refitted
     if refitted is None or refitted.estimates is None or not run.store.kept:
         return None
+    fitted = get_estimates(run.store, refitted.estimates)
+    return _beside_folds(run, run.view.experiment(refitted.experiment), fitted)
+
+
+def identified_by_folds(
+    run: Run, experiment: Experiment, *, library: bool
+) -> IdentifiedModel | None:
+    """The parameters of an experiment that was not refitted, by its fold models; None without them.
+
+    Args:
+        library: as in `EstimatedModel`
+    """
+    fitted = fold_estimates(_fold_tables(run, experiment)) if run.store.kept else None
+    fitted = fitted and replace(fitted, library=library)
+    return fitted and _beside_folds(run, experiment, fitted)
+
+
+def _fold_tables(run: Run, experiment: Experiment) -> list[Mapping[str, float]]:
+    findings = findings_of(run.store, experiment, bounded=False)
+    return [dict(one.parameters) for one in findings]
+
+
+def _beside_folds(run: Run, experiment: Experiment, fitted: EstimatedModel) -> IdentifiedModel:
     try:
         lock = tomllib.loads((run.directory / "problem.lock.toml").read_text("utf-8"))
         one_sided = lock["protocol"]["folds"]["kind"] in ("forward", "tail")
     except (OSError, ValueError, KeyError, TypeError):
         one_sided = False
-    fitted = get_estimates(run.store, refitted.estimates)
-    findings = findings_of(run.store, run.view.experiment(refitted.experiment), bounded=False)
-    tables = [dict(one.parameters) for one in findings]
-    rows = with_fold_values(fitted, tables, jackknife=not one_sided)
+    rows = with_fold_values(fitted, _fold_tables(run, experiment), jackknife=not one_sided)
     return IdentifiedModel(
-        refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library,
-        fitted.reason, fitted.source, run.view.experiment(refitted.experiment).fit,
+        experiment.number, rows, fitted.correlation, fitted.equations, fitted.library,
+        fitted.reason, fitted.source, experiment.fit,
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from statistics import fmean, median
 from typing import Any
 
-from asia._statement import NOT_IDENTIFIABLE, fit_note
+from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, fit_note
 from asia._text import coarse, one_line
 from asia.judge.evaluation.results import POOR
 from asia.judge.evaluation.training_checks import TrainingCheck
@@ -173,12 +173,12 @@ def threshold_text(view: SearchView) -> str:
     if held is None or threshold is None:
         return ""
     values = held.seed_values
+    mean, number = error_value(fmean(values)), f"#{held.number:02d}"
     if len(values) == 1:
         return (
-            f"the fits of #{held.number:02d} do not depend on the seed, so only the variance of "
-            "the next candidate sets the threshold"
+            f"a candidate is kept if its mean V is below {mean}, the V of {number}, by more than "
+            f"its own V varies with the seed; the fits of {number} do not depend on the seed"
         )
-    mean, number = error_value(fmean(values)), f"#{held.number:02d}"
     text = (
         f"a candidate is kept if its mean V is more than {threshold:.2g} below {mean}, the mean of "
         f"{number} over {len(values)} seeds"
@@ -304,6 +304,8 @@ def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Itera
     wide = one.statement.reason == NOT_IDENTIFIABLE
     if wide or not (fitted.identifiable or found.reason):
         yield NOT_IDENTIFIABLE
+    elif one.statement.reason == UNSETTLED:
+        yield UNSETTLED
     elif ends is not None and ends[1] - ends[0] > abs(fitted.value):
         yield "interval wider than the value"
     if fitted.at_bound:

@@ -269,8 +269,8 @@ def train(
 ) -> GreyBox:
     """Fit the model to the simulation error of whole records (with a horizon: of windows).
 
-    Initial states of the records are estimated with the parameters. Logs the cost, which is the
-    mean squared normalised error plus the ridge.
+    Initial states of the records are estimated with the parameters. A refit starts from the fold
+    models. Logs the cost, which is the mean squared normalised error plus the ridge.
     """
     segments = cut_segments(model.structure, trajectories, context.horizon)
     structure = model.structure
@@ -286,7 +286,12 @@ def train(
         config = replace(structure.config, substeps=more * structure.config.substeps)
         structure = replace(structure, config=config)
     structure = extended(structure, segments)
-    fitted = fit(structure, segments, method, context.seed, context.log)
+    near = [
+        one.fitted
+        for one in context.fold_models()
+        if isinstance(one, GreyBox) and one.fitted and one.structure.layout == structure.layout
+    ]
+    fitted = fit(structure, segments, method, context.seed, context.log, near)
     if structure.config.discover:
         from asia.models._equations.discovery import discover
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from asia.data.bad_samples import find_bad_samples
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
+from asia.data.intake.conversion import NOT_MEASURED
 from asia.data.relations import Repetition, find_repetition
 from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback, limit_shares
 from asia.data.trajectory import Array, Signal, Trajectory, is_constant
@@ -198,7 +199,8 @@ class CheckReport:
             lines += loop_lines(problem.loop, problem.train, whole=rule.horizon is None)
         own = "baseline.py" if problem.baseline else "built-in; a baseline.py would replace it"
         lines.append(f"baseline: {own}")
-        return lines + [f"warning: {w}" for w in self.warnings]
+        # The line on missing outputs has said that for all files.
+        return lines + [f"warning: {w}" for w in self.warnings if NOT_MEASURED not in w]
 
 
 def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -> CheckReport:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from asia.data.trajectory import Array, Trajectory
 from asia.problem.physics import (
     NAMED_NUMBERS,
-    Expression,
     ParameterRange,
     Physics,
     definition_order,
@@ -146,6 +145,7 @@ def _angle(y: Any, x: Any) -> Any:
     return turn + 1j * (np.real(x) * np.imag(y) - np.real(y) * np.imag(x)) / size
 
 
+_Formula: TypeAlias = Callable[[Mapping[str, Any]], Any]
 # Functions of expressions, analytic along the imaginary axis.
 _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     **{name: getattr(np, name) for name in (
@@ -167,8 +167,9 @@ class _Equations:
     """Right-hand sides and outputs of a physics section, for any number of columns at once."""
 
     def __init__(self, physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        def parsed(texts: Mapping[str, str], names: Sequence[str]) -> list[Expression]:
-            return [parse_expression(texts.get(name, name), name) for name in names]
+        def parsed(texts: Mapping[str, str], names: Sequence[str]) -> list[_Formula]:
+            formulas = (parse_expression(texts.get(name, name), name) for name in names)
+            return [one.compiled(_FUNCTIONS) for one in formulas]
 
         self.physics, self.inputs = physics, inputs
         self.defined = definition_order(physics)
@@ -176,7 +177,7 @@ class _Equations:
         self.dynamics = parsed(physics.dynamics, physics.states)
         self.observation = parsed(physics.observation, outputs)
 
-    def values(self, which: Sequence[Expression], x: Any, u: Array, theta: Any) -> ComplexArray:
+    def values(self, which: Sequence[_Formula], x: Any, u: Array, theta: Any) -> ComplexArray:
         """Values (len(which), columns) at states x (nx, columns) and parameters (p, columns)."""
         named: dict[str, Any] = {**NAMED_NUMBERS, **self.physics.constants}
         named |= dict.fromkeys(self.physics.corrections, 0.0)
@@ -184,9 +185,11 @@ class _Equations:
         named |= zip(self.inputs, u, strict=True)
         named |= zip(self.physics.parameters, theta, strict=True)
         for name, definition in zip(self.defined, self.definitions, strict=True):
-            named[name] = definition.evaluate(named, _FUNCTIONS)
-        rows = [one.evaluate(named, _FUNCTIONS) for one in which]
-        return np.stack([np.broadcast_to(row, x.shape[1:]) for row in rows]).astype(np.complex128)
+            named[name] = definition(named)
+        found = np.empty((len(which), *x.shape[1:]), np.complex128)
+        for k, formula in enumerate(which):
+            found[k] = formula(named)
+        return found
 
 
 class _StoppedError(Exception):

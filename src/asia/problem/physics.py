@@ -166,7 +166,11 @@ class Expression:
     def evaluate(self, values: Mapping[str, T], functions: Mapping[str, Callable[..., T]]) -> T:
         """The value, with `values` for every name and `functions` for every function of the
         table that the expression calls. Works for floats, NumPy and JAX arrays alike."""
-        return _evaluate(self.root, values, functions)
+        return self.compiled(functions)(values)
+
+    def compiled(self, functions: Mapping[str, Callable[..., T]]) -> Callable[[Mapping[str, T]], T]:
+        """`evaluate` as a function of the values, for many calls."""
+        return _compiled(self.root, functions)
 
 
 def parse_expression(text: str, where: str) -> Expression:
@@ -301,24 +305,29 @@ def names_in(node: Node) -> frozenset[str]:
             return frozenset[str]().union(*(names_in(argument) for argument in arguments))
 
 
-def _evaluate(
-    node: Node, values: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]
-) -> Any:
+def _compiled(
+    node: Node, functions: Mapping[str, Callable[..., Any]]
+) -> Callable[[Mapping[str, Any]], Any]:
     match node:
         case Number(value):
-            return value
+            return lambda values: value
         case Name(name):
-            return values[name]
+            return operator.itemgetter(name)
         case Negative(operand):
-            return -_evaluate(operand, values, functions)
+            inner = _compiled(operand, functions)
+            return lambda values: -inner(values)
         case Binary("**", left, Number(power)) if power.is_integer() and abs(power) <= 64:
             # A whole exponent keeps derivatives at zero finite in JAX.
-            return _evaluate(left, values, functions) ** int(power)
+            base, whole = _compiled(left, functions), int(power)
+            return lambda values: base(values) ** whole
         case Binary(symbol, left, right):
-            a = _evaluate(left, values, functions)
-            return _OPERATIONS[symbol](a, _evaluate(right, values, functions))
+            a, b = _compiled(left, functions), _compiled(right, functions)
+            operation = _OPERATIONS[symbol]
+            return lambda values: operation(a(values), b(values))
         case Call(function, arguments):
-            return functions[function](*(_evaluate(a, values, functions) for a in arguments))
+            call = functions[function]
+            parts = [_compiled(argument, functions) for argument in arguments]
+            return lambda values: call(*[part(values) for part in parts])
 
 
 # Checks of the `[physics]` section, before anything is spent on it.

@@ -180,6 +180,16 @@ def test_poles_without_dynamics_in_the_sampled_model_are_named() -> None:
     assert "memory of 2 samples" in lines[2]
 
 
+def test_a_double_pole_that_rounding_parts_is_real() -> None:
+    close = np.array([[0.9, 1e-7], [-1e-7, 0.9]])
+    model = LinearModel(
+        close, np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), 0.5, np.zeros(1), np.zeros(1)
+    )
+    (line,) = _pole_lines(_dynamics(model)["poles"], 0.5)
+    assert "0.9 twice" in line
+    assert "i " not in line.removeprefix("pole")
+
+
 def test_the_largest_gain_is_found_at_a_resonance() -> None:
     z = 0.99 * np.exp(0.3j)
     a = np.array([[2 * z.real, -(abs(z) ** 2)], [1.0, 0.0]])

@@ -158,6 +158,13 @@ def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> No
         ["./model", "timed.csv"], cwd=tmp_path, check=True, capture_output=True, text=True
     )
     assert again.stdout == done.stdout
+    # An output that was not measured is not compared, and does not end the simulation.
+    lost = [*rows[:-2], f"{rows[-2].rpartition(',')[0]},", rows[-1], ""]
+    (tmp_path / "lost.csv").write_text("\r\n".join([head, *lost]))
+    again = subprocess.run(
+        ["./model", "lost.csv"], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    assert again.stdout == done.stdout
     for text, message in (
         (
             "\n".join([f"time,{head}", *(f"{0.1 * k},{row}" for k, row in enumerate(rows))]),
@@ -166,6 +173,9 @@ def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> No
         ("\n".join([f"other,{head}", *(f"0,{row}" for row in rows)]), f"the columns {head}"),
         ("\n".join([head, *rows]).replace(",", ";"), f"expected the columns {head}"),
         (f"{head}\n{rows[0]}\n", "rows of numbers, found 1"),
+        ("\n".join([head, *rows[:-1], f",{rows[-1].partition(',')[2]}"]), f"row {len(rows)} has"),
+        ("\n".join([head, f"{rows[0].rpartition(',')[0]},", *rows[1:]]), "the model starts there"),
+        ("\n".join([head, *rows[:-1], rows[-1] + "x"]), "a value that is no number"),
     ):
         (tmp_path / "own.csv").write_text(text)
         refused = subprocess.run(

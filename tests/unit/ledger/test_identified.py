@@ -129,6 +129,10 @@ def test_the_widest_source_decides_the_interval_to_quote() -> None:
     lacking = IdentifiedParameter(fitted(misfit_error=0.3, lower=-1.0), (0.49, 0.51), 0.01)
     assert lacking.interval == pytest.approx((0.2, 0.8))
     assert (lacking.decided_by, lacking.disagrees) == ("missing effect", False)
+    unsettled = IdentifiedParameter(fitted(misfit_error=1.0), (0.49, 0.51), 0.01)
+    lines = "\n".join(identified_lines(IdentifiedModel(1, (unsettled,), ((1.0,),), ())))
+    assert "no interval: its ends by the folds or a missing effect are a factor of 10" in lines
+    assert "other values of these simulate" not in lines
     unknown = IdentifiedParameter(fitted(standard_error=None, low=None, high=None), (1.0, 2.0), 0.5)
     assert (unknown.interval, unknown.decided_by, unknown.disagrees) == (None, "noise", False)
     text = "\n".join(identified_lines(IdentifiedModel(1, (apart, lacking), ((1.0,),), ())))

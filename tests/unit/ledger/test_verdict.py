@@ -12,7 +12,7 @@ import pytest
 from asia.judge.scoring.outcome import FoldScore, Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Event, ReferenceScored
-from asia.ledger.evidence import fold_estimates
+from asia.ledger.evidence import fold_estimates, with_fold_values
 from asia.ledger.verdict import LEVELS, explained_variance, usability
 from asia.ledger.view import SearchView, replay
 from tests.unit.ledger.conftest import evaluated, proposed, started
@@ -83,6 +83,8 @@ def test_parameters_without_a_refit_are_means_over_the_fold_models() -> None:
     assert k.value == pytest.approx(1.1)
     assert k.standard_error == pytest.approx(0.1)
     assert "mean over the fold models" in found.source
+    # Two folds would give tau an interval of no width.
+    assert all(one.interval is None for one in with_fold_values(found, [{"k": 1.0, "tau": 4.0}]))
     assert fold_estimates([{"k": 1.0}]) is None
 
 

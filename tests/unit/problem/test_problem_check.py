@@ -102,8 +102,15 @@ def test_doubts_are_said(tanks: Problem) -> None:
 def test_missing_outputs_are_counted(tanks: Problem) -> None:
     u = np.random.default_rng(0).standard_normal((1000, 1))
     y = np.where(np.arange(1000)[:, None] % 10 == 3, np.nan, u)
-    lines = check_problem(with_signals(tanks, u, y), Seal(None)).lines()
+    problem = replace(
+        with_signals(tanks, u, y),
+        warnings=("a.csv: 100 of 1000 output values were not measured; they do not count", "else"),
+    )
+    lines = check_problem(problem, Seal(None)).lines()
     assert "missing outputs, in samples, left out of fit and V: tank2_level 100 of 1000" in lines
+    # Once is enough.
+    assert "not measured" not in "\n".join(lines)
+    assert "warning: else" in lines
 
 
 def test_constant_signal_has_no_shares(tanks: Problem) -> None:

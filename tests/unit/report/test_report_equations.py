@@ -7,6 +7,7 @@ from asia.report.pictures.equations import draw_equations, typeset
 def test_terms_stay_in_the_order_the_person_wrote() -> None:
     assert typeset("-k1*sqrt(x1) + k4*u") == r"- k_{1}\,\sqrt{x_{1}} + k_{4}\,u"
     assert typeset("2*x/(1 + a_b)") == r"\frac{2\,x}{1 + a_{b}}"
+    assert typeset("tau_h*tau_heater") == r"\tau_{h}\,\mathrm{tau\_heater}"
     assert typeset("pump_voltage*omega") == r"\mathrm{pump\_voltage}\,\omega"
 
 

@@ -49,6 +49,7 @@ def test_terms_keep_their_order_and_parentheses(text: str, expected: str) -> Non
         ("x", "<mi>x</mi>"),
         ("theta", "<mi>θ</mi>"),
         ("omega2", "<msub><mi>ω</mi><mn>2</mn></msub>"),
+        ("tau_h", "<msub><mi>τ</mi><mi>h</mi></msub>"),
         ("pump_voltage", '<mi mathvariant="normal">pump voltage</mi>'),
     ],
 )

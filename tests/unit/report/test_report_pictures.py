@@ -25,7 +25,7 @@ from asia.ledger.run import open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Seal
-from asia.report.drawing.style import drawing, plain
+from asia.report.drawing.style import drawing, names_that_fit, plain
 from asia.report.files import draw_problem, pictures, save, write_report
 from asia.report.pictures.check import draw_data
 from asia.report.pictures.evidence import draw_validation
@@ -315,3 +315,15 @@ def test_importing_the_package_loads_no_matplotlib_and_drawing_no_pyplot(tmp_pat
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path)
+
+
+def test_names_of_records_stay_in_their_part_of_the_axis() -> None:
+    def names(*lengths: int) -> tuple[str, ...]:
+        ends = np.cumsum([0, *lengths]).astype(float)
+        times = [ends[k : k + 2] for k in range(len(lengths))]
+        return names_that_fit([f"record_{k}" for k in range(len(lengths))], times, 80)
+
+    assert names(50, 50) == ("record_0", "record_1")
+    assert names(90, 8, 2) == ("record_0", "recor…", "")
+    for count in (3, 12, 40):
+        assert sum(map(len, names(*range(1, count)))) <= 80

@@ -38,6 +38,9 @@ from asia.data.intake.timestamps import check_time_unit, read_times, time_column
 from asia.data.trajectory import Array, Trajectory, unique_names
 from asia.errors import UserError
 
+NOT_MEASURED = "output values were not measured"
+"""Part of the note on missing outputs of a file."""
+
 # The wanted channels of a sheet as numbers, one part an experiment.
 
 
@@ -591,8 +594,8 @@ def _note_missing(
     lost = sum(int(np.isnan(cut.y).sum()) for cut in cuts)
     if lost:
         notes.append(
-            f"{where}: {lost} of {sum(cut.y.size for cut in cuts)} output values were not "
-            "measured; they do not count"
+            f"{where}: {lost} of {sum(cut.y.size for cut in cuts)} {NOT_MEASURED}; they do not "
+            "count"
         )
     outside = sum(int(rows.sum()) for rows in good) - sum(len(cut.u) for cut in cuts)
     if outside:

@@ -5,10 +5,12 @@ correct; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 t
 """
 
 import inspect
+import re
 import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -172,8 +174,16 @@ _BRIEF_HELP = {
 }
 """Options that `--help` of a command shows; `--help-all` shows the others too. Without an entry
 here `--help` shows all."""
-_PRINTING = (_run.run, extend.extend, view.view, demo.demo, doctor.doctor, _agent.try_)
+_PRINTING = (view.view, demo.demo, doctor.doctor, _agent.try_)
 """Commands that print their own progress, or wait for others."""
+_SEARCHES = (_run.run, extend.extend)
+"""Commands that draw their own progress on a terminal."""
+
+
+def _on_terminal() -> bool:
+    return sys.stdout.isatty()
+
+
 for _app, _commands, _panel in (
     (app, MAIN_COMMANDS, None),
     (app, MORE_COMMANDS, "More commands"),
@@ -185,7 +195,8 @@ for _app, _commands, _panel in (
             _app.add_typer(_command, name=_name, rich_help_panel=_panel)
         else:
             _own = _app is not app or _command in _PRINTING
-            _shown = with_groups(_command, _BRIEF_HELP.get(_command), prints_progress=_own)
+            _prints = _on_terminal if _command in _SEARCHES else partial(bool, _own)
+            _shown = with_groups(_command, _BRIEF_HELP.get(_command), prints_progress=_prints)
             _app.command(_name, rich_help_panel=_panel)(_shown)
 
 
@@ -273,9 +284,18 @@ def main() -> None:
         signal.signal(signal.SIGTERM, before)
 
 
+_ASSIGNED = re.compile(r"[^-=/]+=[^=]")
+
+
 def spread(words: list[str]) -> list[str]:
     """Repeat a list option before each of its words: `--train a.csv b.csv` becomes `--train a.csv
-    --train b.csv`."""
+    --train b.csv`. Raises UserError for a second NAME=VALUE after an option that takes one word."""
+    for option, first, second in zip(words, words[1:], words[2:], strict=False):
+        if option.startswith("--") and all(map(_ASSIGNED.match, (first, second))):
+            raise UserError(
+                f"'{second}' belongs to no option: {option} takes one word, so write "
+                f"{option} {first},{second}"
+            )
     known = {
         "init": init.LISTS,
         "validate": ("--columns",),

@@ -425,7 +425,8 @@ def chosen(option: str, name: str | None, signals: Sequence[Signal], free: Seque
     if len(places) != 1:
         known = ", ".join(n for n, one in zip(names, free, strict=True) if one) or "none"
         wrong = f"is '{name}'" if name is not None else "is missing"
-        raise UserError(f"{option} {wrong}: expected one of {known}")
+        why = f"; {name} is a disturbance, which nobody sets" if name in names else ""
+        raise UserError(f"{option} {wrong}: expected one of {known}{why}")
     return places[0]
 
 

@@ -399,7 +399,7 @@ def _facts(
         "at_rest": point.rests and not reason, "no_rest": reason or None,
         "order": model.order, "sampling_time": model.sampling_time,
         "A": model.a, "B": model.b, "C": model.c, "D": model.d,
-        **_dynamics(model, point.folds, reason), "delay_samples": _delays(run, model),
+        **_dynamics(model, point.folds, reason), **_delays(run, model),
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
         "gains": [
             [{"kind": kind, "text": str(one), **asdict(one)} for kind, one in row] for row in gains
@@ -447,18 +447,22 @@ def _facts(
     return found
 
 
-def _delays(run: LinearRun, model: LinearModel) -> list[list[int]]:
-    """Samples before each input acts on each output, by the training records; those of the model
-    where the records do not tell, and -1 without an effect."""
+def _delays(run: LinearRun, model: LinearModel) -> dict[str, Any]:
+    """Samples before each input acts on each output, by the training records, with 95 % intervals;
+    those of the model, without, where the records do not tell, and -1 without an effect."""
     from asia.data.statistics import delays
 
-    return [
-        [
-            int(model.delay[i, j]) if one is None or one.lag is None else one.lag
-            for j, one in enumerate(row)
-        ]
-        for i, row in enumerate(delays(run.records))
-    ]
+    found = delays(run.records)
+    return {
+        "delay_samples": [
+            [
+                int(model.delay[i, j]) if one is None or one.lag is None else one.lag
+                for j, one in enumerate(row)
+            ]
+            for i, row in enumerate(found)
+        ],
+        "delay_intervals": [[None if one is None else one.interval for one in r] for r in found],
+    }
 
 
 def _dynamics(
@@ -565,10 +569,10 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
         yield f"zeros     {', '.join(shown)}"
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
-            dead = int(facts["delay_samples"][i][j])
-            late = (
-                "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"
-            )
+            dead, sure = int(facts["delay_samples"][i][j]), facts["delay_intervals"][i][j]
+            by = "" if sure is None or sure[0] == sure[1] else f"; {sure[0]} to {sure[1]} samples"
+            late = f"delay {_counted(dead, 'sample')} ({dead * step:g} s{by})"
+            late = "no effect" if dead < 0 else late
             gain = facts["gains"][i][j]
             yield f"{gain['kind']:<10}{out.name} by {into.name}: {gain['text']}, {late}"
             if "process_models" in facts and facts["process_models"][i][j]:
@@ -633,7 +637,9 @@ def _pole_lines(
         if step and pole == 0:
             memory += 1 + (pole.imag > 1e-12)
             continue
-        text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
+        # Rounding parts a double pole by about 1e-8.
+        end = " twice" if pole.imag <= 1e-6 * abs(pole) else f" +- {pole.imag:.6g}i"
+        text = f"{pole.real:.6g}" + (end if pole.imag > 1e-12 else "")
         text = f"pole      {text:<24}"
         if np.isnan(one["frequency_hz"]):
             yield f"{text} no continuous counterpart"

@@ -6,6 +6,8 @@ import json as jsonlib
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -65,12 +67,9 @@ def next_(
     inputs = [s.name for s in problem.inputs if s.is_actuated]
     others = [s.name for s in problem.inputs if not s.is_actuated]
     outputs = [s.name for s in problem.outputs]
-    spans = {
-        name: _span(text, value) for name, value, text in _named("--limits", limits, inputs, "u")
-    }
-    rates = {
-        name: _number(text, value) for name, value, text in _named("--rate", rate, inputs, "u")
-    }
+    planned = partial(_named, names=inputs, short="u", disturbances=others)
+    spans = {name: _span(text, value) for name, value, text in planned("--limits", limits)}
+    rates = {name: _number(text, value) for name, value, text in planned("--rate", rate)}
     held = {
         name: _number(text, value)
         for name, value, text in _named("--start", start, [*inputs, *others], "u")
@@ -116,15 +115,22 @@ def next_(
 
 
 def _named(
-    option: str, texts: Sequence[str] | None, names: Sequence[str], short: str
+    option: str,
+    texts: Sequence[str] | None,
+    names: Sequence[str],
+    short: str,
+    disturbances: Sequence[str] = (),
 ) -> list[tuple[str, str, str]]:
-    """Name of the signal, value and the whole text of NAME=VALUE; a single signal may have the
-    short name or none."""
+    """Name of the signal, value and the whole text of each NAME=VALUE, several separated by commas;
+    a single signal may have the short name or none."""
     found: list[tuple[str, str, str]] = []
-    for text in texts or ():
+    whole = [[t] if t.rpartition("=")[0] in names else t.split(",") for t in texts or ()]
+    for text in chain.from_iterable(whole):
         side, _, value = text.rpartition("=")
         if len(names) == 1 and side in ("", short):
             side = names[0]
+        if side in disturbances:
+            raise UserError(f"{option} is '{text}': {side} is a disturbance, which nobody sets")
         if side not in names:
             raise UserError(
                 f"{option} is '{text}', expected NAME=VALUE with one of {', '.join(names)}"
@@ -196,6 +202,8 @@ def _facts(
         f"start     at rest: {signals(made.inputs, made.rest[0])}; "
         f"{signals(made.outputs, made.rest[1])}",
     ]
+    for signal, value in made.disturbances:
+        lines.append(f"held      {signals([signal], [value])}: a disturbance, which nobody sets")
     for i, signal in enumerate(made.outputs):
         low, high = float(proposed.lower[:, i].min()), float(proposed.upper[:, i].max())
         text = f"{signal.name} between {low:.4g} and {high:.4g} {signal.unit}".rstrip()

@@ -308,7 +308,7 @@ def with_groups(
     command: Callable[..., None],
     brief_help: Collection[str] | None = None,
     *,
-    prints_progress: bool = False,
+    prints_progress: Callable[[], bool] = lambda: False,
 ) -> Callable[..., None]:
     """Return the command for typer. Each parameter annotated with a dataclass is replaced by the
     fields of that dataclass, which keep their annotations and defaults. The option `--help-all`
@@ -324,7 +324,7 @@ def with_groups(
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         given.pop("help_all")
-        if prints_progress:
+        if prints_progress():
             command(**given)
             return
         with reported(command.__name__.strip("_"), lambda line: say(line, file=sys.stderr)):

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from asia import __version__
 from asia._diagnostic import diagnostic
+from asia._progress import now_doing
 from asia._text import printable_line, say
 from asia._timer import Activity, ActivityTimer, TimeSpent, duration
 from asia.errors import UserError
@@ -617,8 +618,6 @@ class TextDisplay:
             self._print(f"        {_last_line(reference.outcome)}", style="dim")
 
     def _update_footer(self, view: SearchView) -> None:
-        if self.footer is None:
-            return
         doing = "scoring the reference models"
         if view.stopped is not None:
             doing = "refitting the winner on all training data"
@@ -628,7 +627,11 @@ class TextDisplay:
         threshold = incumbent_threshold(view)
         if threshold is not None:
             done += f" · threshold {threshold:.2g}"
-        self.footer.update(Text(f"{done} · {printable_line(doing)}"))
+        text = f"{done} · {printable_line(doing)}"
+        if self.footer is None:
+            now_doing(text)
+        else:
+            self.footer.update(Text(text))
 
     def _print(self, text: str, style: str = "") -> None:
         self.console.print(printable_line(text), style=style)

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from asia._text import hand_over, printable, printable_line, say
+from asia.agents.library.recipe import MODELS, read_recipe
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs, run_directory
 from asia.interfaces.cli.output import (
@@ -21,7 +22,13 @@ from asia.interfaces.cli.output import (
 )
 from asia.interfaces.cli.validate import confirmation_lines
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
-from asia.ledger.evidence import evidence_of, identified, settings_of_run
+from asia.ledger.evidence import (
+    IdentifiedModel,
+    evidence_of,
+    identified,
+    identified_by_folds,
+    settings_of_run,
+)
 from asia.ledger.looks import seal_words
 from asia.ledger.run import Run, open_run
 from asia.ledger.text import (
@@ -114,8 +121,7 @@ def show(
 
 def _experiment_object(run: Run, experiment: Experiment) -> dict[str, object]:
     proposed, result, score = experiment.proposed, experiment.result, experiment.score
-    model = identified(run)
-    winner = model is not None and model.experiment == experiment.number
+    model = _identified(run, experiment)
     return {
         "run": run.name,
         "experiment": experiment.number,
@@ -131,8 +137,20 @@ def _experiment_object(run: Run, experiment: Experiment) -> dict[str, object]:
         "V": score.value if score else None,
         "folds": [fold.value for fold in score.folds] if score else [],
         "reason": experiment.failure.reason.value if experiment.failure else None,
-        **(identified_object(model) if model is not None and winner else {"parameters": None}),
+        **(identified_object(model) if model is not None else {"parameters": None}),
     }
+
+
+def _identified(run: Run, experiment: Experiment) -> IdentifiedModel | None:
+    """The parameters of a refit; those of the fold models where the experiment has none."""
+    refitted = run.view.refitted
+    if refitted is not None and refitted.experiment == experiment.number:
+        return identified(run)
+    if experiment.score is None or not run.store.kept:
+        return None
+    recipe = read_recipe(run.store.text(experiment.proposed.source))
+    library = recipe is not None and recipe.package == MODELS
+    return identified_by_folds(run, experiment, library=library)
 
 
 def wide_console() -> Terminal:
@@ -186,7 +204,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print(experiment.failure.detail)
     if not run.store.kept:
         return
-    model = identified(run) if refitted else None
+    model = _identified(run, experiment)
     if model is not None:
         console.print("\nidentified model", style="bold")
         for line in identified_lines(model):

@@ -502,11 +502,14 @@ class Evaluator:
         found = self._run_checks([job])
         return found if isinstance(found, Failure) else objection_to(found[0], None)
 
-    def refit(self, source: str, attempts: Sequence[int] = ()) -> Refit:
+    def refit(
+        self, source: str, attempts: Sequence[int] = (), fold_models: Sequence[bytes] = ()
+    ) -> Refit:
         """Fit on all training records, and on one of the folds a second time.
 
         Args:
             attempts: `FoldResult.attempt` of each fold; () for the first ones
+            fold_models: models of the folds, for the families that can start from them
         """
         source = executed_source(source)
         folds = self.data.folds
@@ -516,7 +519,7 @@ class Evaluator:
         results: list[FoldResult | Failure] = []
         self.workers.run(
             [
-                lambda: models.append(self._fit_all(source, 0)),
+                lambda: models.append(self._fit_all(source, 0, fold_models)),
                 lambda: results.append(self._fold_or_failure(source, fold, seed).result),
             ]
         )
@@ -533,7 +536,9 @@ class Evaluator:
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
-    def _fit_all(self, source: str, start: int) -> RefitModel | CandidateError:
+    def _fit_all(
+        self, source: str, start: int, fold_models: Sequence[bytes] = ()
+    ) -> RefitModel | CandidateError:
         """Nothing is held out, so the candidate has no validation score to ask for."""
         context, model = self.data.context, None
         try:
@@ -543,7 +548,10 @@ class Evaluator:
                     seed=derive_seed(context.seed, "all", start),
                     deadline=time.monotonic() + self.workers.fit_seconds,
                 )
-                worker.fit(source, self.data.records, context, programs=program_store())
+                worker.fit(
+                    source, self.data.records, context,
+                    programs=program_store(), fold_models=fold_models,
+                )  # fmt: skip
                 model = worker.dump()
                 return RefitModel(model, worker.estimates())
         except CandidateError as error:

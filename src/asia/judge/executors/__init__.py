@@ -3,11 +3,13 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextvars import Context, copy_context
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar, cast, runtime_checkable
 
 from asia._plugins import parts_of
+from asia._progress import tracked
 from asia._text import suggestion
 from asia.errors import UserError
 
@@ -91,9 +93,12 @@ class LocalExecutor:
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
-        futures = [self._pool.submit(job) for job in jobs]
+        # Loops of a single job are the progress of the command that waits for it.
+        context = copy_context() if len(jobs) == 1 else Context()
+        futures = [self._pool.submit(context.copy().run, job) for job in jobs]
         try:
-            wait(futures)
+            for future in tracked(futures, "job") if len(jobs) > 1 else futures:
+                wait([future])
         finally:
             for future in futures:
                 future.cancel()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from asia.models._equations.starts import (
     augment,
     initial_states,
     screen,
+    starts_near,
     window_prior,
 )
 from asia.models._least_squares import TRIALS, LevenbergMarquardt, Minimum, minimise
@@ -74,8 +75,10 @@ def fit(
     method: LevenbergMarquardt,
     seed: int,
     log: Callable[[float, float], None] | None = None,
+    near: Sequence[FittedEquations] = (),
 ) -> FittedEquations:
-    """Best of `method.starts` fits, in up to three stages.
+    """Best of `method.starts` fits, in up to three stages; with `near`, fits of the same structure
+    to parts of the records, best of the fits of all coordinates from these.
 
     The first stage fits only the equations, from points drawn in their ranges and screened; the
     second fits the additions from the better half of these, with starting points drawn anew; the
@@ -92,6 +95,12 @@ def fit(
     rng = np.random.default_rng(seed)
     layout, count = structure.layout, method.starts
     fits = _Fits(structure, segments, method, count, log)
+    if near:
+        active = np.ones(layout.size)
+        starts = starts_near(structure, segments, near)
+        starts, found = fits.under_noise(starts, active, fits.best(starts, active))
+        if np.isfinite(found.cost).any():
+            return fits.finished(starts, found)
     active = np.zeros(layout.size)
     active[layout.parameters] = 1.0
     augmented, residual = structure.config.augmented, structure.config.residual > 0

@@ -15,6 +15,7 @@ from asia.models._least_squares import Minimum
 from asia.models._numerics.training_records import measured_weight, rows, side_by_side, spread
 
 if TYPE_CHECKING:
+    from asia.models._equations.fit import FittedEquations
     from asia.models._equations.programs import CompiledSimulator
 
 # Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales.
@@ -166,6 +167,21 @@ def screen(
     scales = base._replace(x_center=center.T, x_scale=scale.T)
     order = _ranking(segments, base, y)
     return Starts(z, np.zeros_like(guess), guess, scales).chosen(order[:count])
+
+
+def starts_near(
+    structure: GreyBoxStructure, segments: RecordSegments, near: Sequence[FittedEquations]
+) -> Starts:
+    """Starting points at fits of the same layout to other records."""
+    each = zip(*(fitted.scales for fitted in near), strict=True)
+    scales = opened(Scales(*(np.stack(values, axis=-1) for values in each)))
+    # All starts count errors in the same units.
+    y_scale = _base_scales(structure, segments).for_rows(len(near)).y_scale
+    guess = np.stack([np.tile(f.scales.x_center, (segments.u.shape[0], 1)) for f in near])
+    for state, output in structure.measured_states.items():
+        guess[:, :, state] = segments.y[:, 0, output]
+    z = np.stack([fitted.z for fitted in near])
+    return Starts(z, np.zeros_like(guess), guess, scales._replace(y_scale=y_scale))
 
 
 def _ranking(segments: RecordSegments, scales: Scales, outputs: Array) -> NDArray[np.intp]:

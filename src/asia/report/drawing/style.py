@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.transforms import Bbox, offset_copy
 
-from asia.data.trajectory import Signal
+from asia.data.trajectory import Array, Signal
 from asia.problem.metrics import find_metric
 
 # Okabe and Ito's colours: distinguishable with colour blindness, and different in grey print.
@@ -87,6 +87,24 @@ def plain(text: str, limit: int = 60) -> str:
     line = " ".join(text.split())
     line = "".join(c if font.get_char_index(ord(c)) else "?" for c in line)
     return line if len(line) <= limit else line[: limit - 1].rstrip() + "…"
+
+
+def names_that_fit(
+    names: Sequence[str], times: Sequence[Array], characters: int
+) -> tuple[str, ...]:
+    """Names of the segments of an axis, each cut to its part of the width; "" where a part is too
+    short for a few characters.
+
+    Args:
+        times: time of each sample, or the ends, of each segment
+        characters: how many fit over the whole axis
+    """
+    share = characters / max(float(times[-1][-1] - times[0][0]), 1e-300)
+    rooms = [int(share * (time[-1] - time[0])) for time in times]
+    return tuple(
+        plain(name, room) if room >= min(len(name), 4) else ""
+        for name, room in zip(names, rooms, strict=True)
+    )
 
 
 def axis_label(signal: Signal) -> str:

@@ -114,7 +114,7 @@ def facts(pairs: Iterable[tuple[str, str | None]]) -> Html:
 
 
 _SHORT = re.compile(r"([A-Za-z])(\d+|_\w{1,3})?")
-_WORD = re.compile(r"([A-Za-z]{2,}?)_?(\d+)")
+_WORD = re.compile(r"([A-Za-z]{2,}?)(\d+|_\w{1,3})")
 _NAMES = (
     "alpha beta gamma delta epsilon zeta eta theta kappa lambda mu nu xi rho sigma tau phi chi psi "
     "omega Gamma Delta Theta Sigma Phi Psi Omega"
@@ -155,7 +155,7 @@ def symbol(name: str) -> Html:
         head = tag("mi", letter)
         return head if below is None else _below(head, below.lstrip("_"))
     if (found := _WORD.fullmatch(name)) and found[1] in _GREEK:
-        return _below(tag("mi", _GREEK[found[1]]), found[2])
+        return _below(tag("mi", _GREEK[found[1]]), found[2].lstrip("_"))
     return tag("mi", name.replace("_", " "), mathvariant="normal")
 
 

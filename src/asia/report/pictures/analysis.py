@@ -32,6 +32,7 @@ from asia.report.drawing.style import (
     picture_width,
     plain,
     quiet_grid,
+    shown,
 )
 
 _COLOURS = (BLUE, ORANGE, GREEN, RED, INK)
@@ -126,7 +127,9 @@ def draw_linear(
     planes[1].set_ylim(-0.65 * reach, 0.65 * reach)
     planes[1].set_title("slow poles, beside 1")
     axes[-1][2].set_axis_off()
-    axes[-1][2].legend(lines, [str(one.get_label()) for one in lines], loc="center", frameon=False)
+    left_out = shown((len(pairs), len(outputs) * len(inputs), "pairs")).strip(" ()")
+    names = [str(one.get_label()) for one in lines]
+    axes[-1][2].legend(lines, names, loc="center", frameon=False, title=left_out or None)
     return figure
 
 

@@ -23,6 +23,7 @@ from asia.report.drawing.style import (
     axis_label,
     entitle,
     figure_legend,
+    names_that_fit,
     picture_width,
     plain,
     quiet_grid,
@@ -140,13 +141,13 @@ def _names(
     several records."""
     spans: list[tuple[str, float]] = []
     if len(chosen) > 1:
-        room = characters // len(chosen)
         groups = {n: g.name for g in problem.protocol.folds.groups for n in g.records}
         named = [groups.get(problem.train[i].name, problem.train[i].name) for i in chosen]
-        for name, part in groupby(zip(named, axis.times, strict=True), key=lambda pair: pair[0]):
-            times = [time for _, time in part]
-            middle = float(times[0][0] + times[-1][-1]) / 2
-            spans.append((plain(name, max(room * len(times), 4)), middle))
+        groups_of = groupby(zip(named, axis.times, strict=True), key=lambda pair: pair[0])
+        parts = [(name, np.concatenate([time for _, time in part])) for name, part in groups_of]
+        names = names_that_fit([n for n, _ in parts], [time for _, time in parts], characters)
+        middles = [float(time[0] + time[-1]) / 2 for _, time in parts]
+        spans = list(zip(names, middles, strict=True))
     elif len(folds) <= 10:
         time = axis.times[0]
         spans = [
@@ -207,7 +208,9 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
         values = answer.delay.correlation[:lags]
         axes.vlines(np.arange(len(values)), 0.0, values, color=BLUE, lw=1.5)
         axes.axhspan(-answer.delay.band, answer.delay.band, color=INK, alpha=0.15, lw=0.0)
-        lag = answer.delay.lag
+        lag, ends = answer.delay.lag, answer.delay.interval
+        if ends is not None:
+            axes.hlines(0.0, *ends, color=ORANGE, lw=4.0, alpha=0.6)
         if lag is not None and lag < len(values):
             axes.plot([lag], [answer.delay.correlation[lag]], "o", ms=4.0, color=ORANGE)
         quiet_grid(axes)
@@ -217,8 +220,8 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
     for axes, name in zip(grid[0], inputs, strict=True):
         axes.set_title(plain(name, 20))
     figure.supxlabel(
-        "lag [samples]; grey: what one of a hundred files exceeds by chance, over all panels; dot: "
-        "the delay",
+        "lag [samples]; grey: what one of a hundred files exceeds by chance, over all panels;\n"
+        "dot and line: the delay and its 95 % interval, by a process model of all lags together",
         fontsize="medium",
     )
     entitle(figure, f"{plain(problem.name, 30)}: correlation of inputs with outputs, whitened")

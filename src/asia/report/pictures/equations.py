@@ -92,6 +92,8 @@ def _flat(formula: Any) -> Any:
 
 def _symbol(name: str) -> str:
     """Short names as symbols with subscripts, words upright."""
-    if _SHORT_NAME.fullmatch(name) or name.lower() in greek_letters_set:
+    letter, _, below = name.partition("_")
+    is_greek = letter.lower() in greek_letters_set and len(below) <= 3
+    if _SHORT_NAME.fullmatch(name) or is_greek:
         return str(latex(sympy.Symbol(name)))
     return rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"

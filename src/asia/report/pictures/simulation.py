@@ -38,6 +38,7 @@ from asia.report.drawing.style import (
     entitle,
     figure_legend,
     headline,
+    names_that_fit,
     number,
     picture_width,
     plain,
@@ -191,9 +192,10 @@ def _draw_panel(plot: Axes, strip: Axes, panel: Panel, axis: TimeAxis, room: int
     if len(pairs) > 1:
         low, high = plot.get_ylim()
         plot.set_ylim(low, high + 0.15 * (high - low))
-        for segment, time in pairs:
+        names = names_that_fit([s.name for s in panel.segments], axis.times, room)
+        for name, time in zip(names, axis.times, strict=True):
             plot.annotate(
-                plain(segment.name, max(room // len(pairs), 4)),
+                name,
                 xy=(float(time[0]), 1.0),
                 xycoords=("data", "axes fraction"),
                 xytext=(2.0, -1.0),

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from asia.errors import UserError
 from asia.interfaces.cli import spread
 from asia.problem.load import load_problem
 
@@ -31,6 +32,13 @@ def test_words_after_a_list_option_belong_to_it() -> None:
         *("--inputs=u", "--no-seal", "c"),
     ]
     assert spread(["show", "--train", "a", "b"]) == ["show", "--train", "a", "b"]
+
+
+def test_a_second_value_after_an_option_is_refused() -> None:
+    with pytest.raises(UserError, match=r"'b=2' belongs to no option: .* write --at a=1,b=2"):
+        spread(["linear", "run", "--at", "a=1", "b=2"])
+    for words in (["linear", "--at", "a=1", "--at", "b=2"], ["linear", "--at", "a=1", "run"]):
+        assert spread(words) == words
 
 
 def test_several_records_and_back(data: tuple[str, str], asia: Asia) -> None:

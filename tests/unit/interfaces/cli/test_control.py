@@ -461,6 +461,8 @@ def test_the_input_of_a_loop_is_the_only_one_that_is_set() -> None:
     for name in ("weather", "pump"):
         with pytest.raises(UserError, match=f"'{name}': expected one of heater"):
             chosen("--input", name, signals, free)
+    with pytest.raises(UserError, match="heater; weather is a disturbance, which nobody sets"):
+        chosen("--input", "weather", signals, free)
     both = Signal("heater"), Signal("flow")
     assert chosen("--input", "flow", both, [True, True]) == 1
     with pytest.raises(UserError, match="is missing: expected one of heater, flow"):

@@ -92,6 +92,10 @@ def test_wrong_options_are_named(
 
 def test_options_name_their_signals() -> None:
     assert _named("--limits", ["0..10"], ["flow"], "u") == [("flow", "0..10", "--limits 0..10")]
+    several = _named("--start", ["flow=1,heat=2", "a,b=3"], ["flow", "heat", "a,b"], "u")
+    with pytest.raises(UserError, match="weather is a disturbance, which nobody sets"):
+        _named("--limits", ["weather=0..10"], ["flow"], "u", ["weather"])
+    assert [pair[:2] for pair in several] == [("flow", "1"), ("heat", "2"), ("a,b", "3")]
     assert _span("x", "-1e-3..2") == (-1e-3, 2.0)
     assert _kept(["level<9", "level > 1"], ["level", "flow"]) == {"level": (1.0, 9.0)}
     assert _kept(["y<=9"], ["level"]) == {"level": (-np.inf, 9.0)}

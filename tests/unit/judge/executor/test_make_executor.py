@@ -1,11 +1,13 @@
 import sys
+from threading import Event
 from types import ModuleType
 
 import pytest
 
 import asia.judge.executors as executors
-from asia import candidate
+from asia import _progress, candidate
 from asia._plugins import Part
+from asia._progress import reported, tracked
 from asia.candidate import installed_libraries
 from asia.errors import UserError
 from asia.judge.executors import LocalExecutor, make_executor
@@ -55,3 +57,24 @@ def test_only_libraries_that_are_installed_are_named(monkeypatch):
     found = candidate.is_installed
     monkeypatch.setattr(candidate, "is_installed", lambda n: n != "equinox" and found(n))
     assert installed_libraries() == ("numpy", "scipy", "jax", "optax")
+
+
+def test_loops_of_a_single_job_are_the_progress_of_the_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_progress, "SILENCE", 0.01)
+    lines, counted = list[str](), Event()
+
+    def say(line: str) -> None:
+        lines.append(line)
+        if "item 1 of 1" in line or "job 1 of 2" in line:
+            counted.set()
+
+    def job() -> bool:
+        return all(counted.wait(30) for _ in tracked([1], "item"))
+
+    with reported("next", say):
+        assert LocalExecutor(1).run([job]) == [True]
+        counted.clear()
+        assert LocalExecutor(2).run([job, job]) == [True, True]
+    assert not any("job" in line and "item" in line for line in lines)

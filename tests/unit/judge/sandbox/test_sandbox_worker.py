@@ -69,6 +69,18 @@ def test_the_candidate_gets_the_whole_context_and_read_only_records(worker, case
     assert reply.output.splitlines()[0] == "u [V] 2 40 mae 1.0 7 3 True second False"
 
 
+def test_a_refit_may_start_from_the_models_of_the_folds(worker, case):
+    source = GAIN.replace(
+        "    print(", "    print([m.gain.shape for m in context.fold_models()])\n    print("
+    )
+    models = []
+    for expected in ("[]", "[(1, 2)]"):
+        with worker() as one:
+            reply = one.fit(source, case.trajectories, case.context, fold_models=models)
+            models = [one.dump()]
+        assert reply.output.splitlines()[0] == expected
+
+
 def test_long_curve_is_thinned_evenly(worker, case):
     source = GAIN.replace("range(10)", "range(9001)")
     with worker() as one:

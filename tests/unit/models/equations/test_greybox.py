@@ -69,6 +69,22 @@ def test_recovers_the_parameters_with_unknown_initial_states(duffing: greybox.Gr
         assert found[name] == pytest.approx(value, rel=0.03)
 
 
+def test_a_refit_starts_from_the_fold_models(duffing_context: Context) -> None:
+    records = [duffing_record(200, 0, NOISE), duffing_record(150, 1, NOISE)]
+    config, short = greybox.Config(residual=2), LevenbergMarquardt(iterations=4, starts=1)
+    folds = [fitted(config, [record], duffing_context) for record in records]
+    near = replace(duffing_context, fold_models=lambda: (*folds, folds[0].fitted))
+    warm, cold = (fitted(config, records, context, short) for context in (near, duffing_context))
+    assert warm.fitted is not None
+    assert cold.fitted is not None
+    assert warm.fitted.history[0] < 0.1 * cold.fitted.history[0]
+    assert error(warm, duffing_record(80, 7, NOISE)) < 3 * NOISE
+    # Models of another structure say nothing.
+    other = replace(duffing_context, fold_models=lambda: (cold,))
+    plain = [fitted(greybox.Config(), records, c, short) for c in (other, duffing_context)]
+    assert plain[0].parameters() == plain[1].parameters()
+
+
 @pytest.mark.slow
 def test_simulates_a_new_record_from_its_past_window(duffing: greybox.GreyBox) -> None:
     record = duffing_record(80, 7, NOISE)

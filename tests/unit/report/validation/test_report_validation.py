@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from asia.problem.problem import Seal
 from asia.report.page.html import Html
 from asia.report.page.page import page_of
 from asia.report.page.sections import evidence
+from asia.report.page.sections.verdict import _test  # pyright: ignore[reportPrivateUsage]
 from asia.report.page.subject import Section
 from tests.unit.report.made_up import write_run
 
@@ -82,6 +84,18 @@ def test_a_validation_report_has_its_section_and_its_pictures(directory: Path) -
     assert "further ones are in report/validation.pdf" in page
     assert page == page_of(open_run(directory))
     assert verify(directory).records
+
+
+@pytest.mark.parametrize(
+    ("record", "expected"),
+    [("", "no figure here is from unseen"), ("new.csv", "Only the validation on new records")],
+)
+def test_a_validation_on_a_new_record_counts_as_unseen(record: str, expected: str) -> None:
+    event = Validated(1, "refit", record, record, (), "", 1, 0, 0)
+    view = SimpleNamespace(
+        unsealed=None, started=SimpleNamespace(test_digest=None), validated=(event,)
+    )
+    assert expected in _test(SimpleNamespace(view=view))  # type: ignore[arg-type]
 
 
 def test_a_validation_report_that_is_not_the_ledgers_is_refused(directory: Path) -> None:

@@ -191,7 +191,9 @@ def test_the_threshold_is_told_once_it_is_known() -> None:
         significance_threshold(NOISY, NOISY)
     )
     assert "below 1.0000, the mean of #01 over 3 seeds" in threshold_text(a_search(2, *NOISY))
-    assert "the fits of #01 do not depend on the seed" in threshold_text(a_search(2, 1.0, 1.0))
+    same = threshold_text(a_search(2, 1.0, 1.0))
+    assert "the fits of #01 do not depend on the seed" in same
+    assert "below 1.0000, the V of #01, by more than its own V varies" in same
     assert incumbent_threshold(a_search(0, 1.0)) is None
 
 

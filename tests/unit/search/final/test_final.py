@@ -15,7 +15,7 @@ from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Refitted
-from asia.ledger.evidence import identified
+from asia.ledger.evidence import identified, identified_by_folds
 from asia.ledger.run import model_to_use, open_run
 from asia.ledger.run import tested_model as model_of
 from asia.ledger.verification import verify
@@ -337,6 +337,13 @@ def test_what_the_refit_says_of_its_parameters_is_kept_and_shown(tmp_path: Path)
     assert found.equations == (f"fitted to {WHOLE} samples",)
     assert [len(one.folds) for one in found.parameters] == [2] * 5
     assert all(one.fold_error is not None for one in found.parameters)
+    # What an experiment without a refit shows.
+    by_folds = identified_by_folds(open_run(directory), view.best, library=False)
+    assert by_folds is not None
+    for one, other in zip(by_folds.parameters, found.parameters, strict=True):
+        assert one.folds == other.folds
+        assert one.fitted.value == pytest.approx(np.mean(one.folds))
+        assert one.interval is None
     verify(directory)
     words = "show", directory.name, "--runs", directory.parent
     shown = json.loads(command_line(*words, "--json").out)

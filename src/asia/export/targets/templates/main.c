@@ -1,6 +1,6 @@
 /* Simulates a CSV file: a row of names, then rows of inputs and outputs. Outputs of the
- * first rows start the model, the others are compared with. A column `time` or `t` in s
- * may come first: its step is checked. */
+ * first rows start the model, the others are compared with where they are not empty. A
+ * column `time` or `t` in s may come first: its step is checked. */
 #include "model.h"
 #include <math.h>
 #include <stdio.h>
@@ -10,19 +10,26 @@
 #define PAST (ASIA_PAST_INPUTS > ASIA_PAST_OUTPUTS ? ASIA_PAST_INPUTS : ASIA_PAST_OUTPUTS)
 #define COLUMNS (ASIA_INPUTS + ASIA_OUTPUTS)
 
-/* The time that comes first, where there is one; its rows are a sampling time apart. */
+/* 1 for a row, 0 at the end of the file, -1 for one with something that is no number. An
+ * empty output is NAN. The time comes first, where there is one; its rows are a sampling
+ * time apart. */
 static int next_row(FILE *file, asia_real *row, int timed, double *time)
 {
     char line[65536];
     char *at = line;
     int i;
-    if (fgets(line, sizeof line, file) == NULL)
+    if (fgets(line, sizeof line, file) == NULL || line[strspn(line, " \r\n")] == '\0')
         return 0;
     for (i = -timed; i < COLUMNS; ++i) {
         char *end;
         double value = strtod(at, &end);
-        if (end == at)
-            return 0;
+        end += strspn(end, " ");
+        if (i >= ASIA_INPUTS && end == at + strspn(at, " "))
+            value = NAN;
+        else if (end == at)
+            return -1;
+        if (strchr(",\r\n", *end) == NULL)
+            return -1;
         if (i < 0)
             *time = value;
         else
@@ -40,7 +47,7 @@ int main(int argc, char **argv)
     asia_state x;
     char names[65536], *at;
     double time = 0, before = 0;
-    long k, i, timed;
+    long k, i, timed, found;
     FILE *file;
     if (argc != 2) {
         fprintf(stderr, "usage: model record.csv (%d inputs, then %d outputs)\n", ASIA_INPUTS,
@@ -60,7 +67,14 @@ int main(int argc, char **argv)
         return 2;
     }
     printf("@NAMES@\n");
-    for (k = 0; next_row(file, row, (int)timed, &time); ++k, before = time) {
+    for (k = 0; (found = next_row(file, row, (int)timed, &time)) != 0; ++k, before = time) {
+        for (i = 0; found == 1 && i < (k < PAST ? COLUMNS : ASIA_INPUTS); ++i)
+            found = isnan((double)row[i]) ? -1 : 1;
+        if (found != 1) {
+            fprintf(stderr, "%s: row %ld has a value that is no number%s\n", argv[1], k + 1,
+                    k < PAST ? "; the model starts there" : "");
+            return 2;
+        }
         if (timed && k && !(fabs(time - before - ASIA_SAMPLING_TIME) <= 0.01 * ASIA_SAMPLING_TIME)) {
             fprintf(stderr, "%s: rows %ld and %ld are %g s apart, the model steps every %g s\n",
                     argv[1], k, k + 1, time - before, (double)ASIA_SAMPLING_TIME);

@@ -24,7 +24,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -244,6 +244,7 @@ class _Session:
         records: list[tuple[Array, Array, float, str, Mask | None, Array | None]],
         known: dict[str, Any],
         scored: bool,
+        fold_models: Sequence[bytes],
     ) -> bytes:
         import numpy as np
 
@@ -268,7 +269,10 @@ class _Session:
         fit: Any = getattr(module, name)
         points = _TrainingCurve(self._show_loss)
         validation_score = self._validation_score if scored else None
-        context = Context(**known, log=points.log, validation_score=validation_score)
+        context = Context(
+            **known, log=points.log, validation_score=validation_score,
+            fold_models=lambda: tuple(map(pickle.loads, fold_models)),
+        )  # fmt: skip
         if context.control is None:
             trajectories, context, restored = standardised(trajectories, context)
             self._reply(wire.ReplyKind.STARTED)

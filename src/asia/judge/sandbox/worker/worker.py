@@ -161,12 +161,14 @@ class Worker:
         score: ScoreModel | None = None,
         programs: ProgramStore | None = None,
         on_loss: Callable[[float, float], None] | None = None,
+        fold_models: Sequence[bytes] = (),
     ) -> FitReply:
         """Execute the source and call its `fit`. The context's deadline becomes the earlier of
         its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`,
         its `validation_score` by one that asks `score`, whose time counts as the fit's. JAX loads
         compiled `programs`; those that a source of the library alone compiles are added. `on_loss`
-        is called with a step and its loss a few times a second."""
+        is called with a step and its loss a few times a second. The context offers `fold_models` of
+        the same source, as `dump` gave them."""
         late = Reason.FIT_TIMEOUT
         if context.plant is not None:
             context.plant.unpack()
@@ -177,10 +179,10 @@ class Worker:
             (t.u, t.y, t.sampling_time, t.name, t.missing, t.reference) for t in trajectories
         ]
         # The worker has these functions of its own.
-        own = ("log", "validation_score")
+        own = ("log", "validation_score", "fold_models")
         plain = {f.name: getattr(context, f.name) for f in fields(context) if f.name not in own}
         with self._clock.activity(Activity.IMPORT):
-            arguments = (source, records, plain, score is not None)
+            arguments = (source, records, plain, score is not None, tuple(fold_models))
             self._ask("fit", arguments, deadline, late, wanted=(ReplyKind.STARTED,))
         with self._clock.activity(Activity.FIT):
             begin = time.monotonic()

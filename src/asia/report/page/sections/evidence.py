@@ -226,7 +226,7 @@ def _write_identified(subject: Subject) -> Html | None:
             ". It is the widest of three intervals: from the noise, from the spread of the fold "
             "models, and from a missing effect."
         )
-        if not found.reason:
+        if any(one.interval is not None for one in found.parameters):
             parts.append(tag("p", "Each interval has a level of ", fixed("95 %"), text))
     if found.entangled:
         names = [one.fitted.name for one in found.parameters]

@@ -146,6 +146,11 @@ def _test(subject: Subject) -> Html:
     view, opened = subject.view, subject.view.unsealed
     if opened is None:
         text = "There is no sealed test, so no figure here is from unseen records."
+        if any(one.record for one in view.validated):
+            text = (
+                "There is no sealed test. Only the validation on new records is of samples that "
+                "the search did not see."
+            )
         if view.started.test_digest is not None:
             text = (
                 "The sealed test is still closed. The error above also served to choose the model, "
