@@ -25,7 +25,7 @@ import numpy as np
 
 from asia.data.trajectory import Trajectory
 from asia.errors import CandidateError
-from asia.judge.scoring.confirmation import Confirmation, guard_gain
+from asia.judge.scoring.confirmation import ComparedParts, Confirmation, paired_gain
 from asia.ledger.artifacts import Store
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import whole
@@ -86,7 +86,7 @@ def _confirmed(rng: np.random.Generator, samples: int, removed: float, claimed: 
     y = np.zeros((samples, 1))
     before = (slow + noise)[:, None]
     after = ((1.0 - removed) * slow + 0.1 * own + noise)[:, None]
-    gain = guard_gain([y], [before], [after], np.ones(1), "rmse")
+    gain = paired_gain([ComparedParts([y], [before], [after], np.ones(1))], "rmse")
     return Confirmation(1, claimed, gain).confirmed
 
 

@@ -14,7 +14,12 @@ from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker
 from asia.judge.sandbox.types import Isolation, Layer, Limits
 from asia.judge.sandbox.worker.worker import Worker
-from asia.judge.scoring.confirmation import Confirmation, guard_gain, share_gained
+from asia.judge.scoring.confirmation import (
+    ComparedParts,
+    Confirmation,
+    paired_gain,
+    share_gained,
+)
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import published, replay
@@ -182,7 +187,9 @@ def _unconfirmed(
     except CandidateError as error:
         return f"unconfirmed: {error.reason.value}"
     data = evaluator.data
-    guard = guard_gain([b.y for b in blocks], *y_hats, data.scale, data.rule.metric)
+    guard = paired_gain(
+        [ComparedParts([b.y for b in blocks], *y_hats, data.scale)], data.rule.metric
+    )
     confirmed = Confirmation(1, gain, guard).confirmed
     return "" if confirmed else f"unconfirmed: gain {gain:.2g}, on the guard {guard.value:.2g}"
 

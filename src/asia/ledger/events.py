@@ -323,7 +323,9 @@ class StressTest:
 # The course of a search: its start, its experiments, its end.
 
 
-Status = Literal["keep", "inconclusive", "unconfirmed", "discard", "crash", "timeout", "invalid"]
+Status = Literal[
+    "keep", "inconclusive", "mixed", "unconfirmed", "discard", "crash", "timeout", "invalid"
+]
 Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
@@ -408,6 +410,9 @@ class Started:
     retest_limit: Annotated[float | None, _omitted(None)] = None
     """V over that of the linear reference from which on a candidate is not fitted from other seeds;
     None in older ledgers, where all are."""
+    by_folds: Annotated[bool, _omitted(False)] = False
+    """True if a new best must also be better over the held-out samples of all folds by more than
+    chance, and clearly worse in none; False in older ledgers."""
     event: Literal["started"] = "started"
 
     @property

@@ -247,6 +247,10 @@ def decision_text(e: Experiment, view: SearchView) -> str:
             text += f", each seed below every one of #{held.number:02d}"
     elif e.result.threshold and e.result.status == "inconclusive":
         text += f", within the threshold {e.result.threshold:.2g}"
+    elif e.result.status == "inconclusive" and change < 0:
+        text += ", no more than chance on the held-out samples of the folds"
+    if e.result.status == "mixed":
+        text += ", but clearly worse in a fold"
     if e.unconfirmed:
         text += ", not confirmed by records that nobody in the search could read"
     return text

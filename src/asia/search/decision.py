@@ -3,14 +3,15 @@
 `decide` is the entry. A candidate about to become the incumbent is fitted again from other seeds.
 It is kept where its mean over the seeds is lower than the incumbent's by more than the significance
 threshold. That is a statement on its method. Its first fit is a model by itself: where its V is the
-lowest so far, it is the one to hand over, whatever is decided on the method.
+lowest so far, it is the one to hand over, whatever is decided on the method. Neither happens where
+the held-out samples of the folds do not show the gain, or show a loss in one fold.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,12 +19,13 @@ from statistics import fmean, stdev
 
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation, same_simulations
-from asia.judge.scoring.confirmation import Confirmation
+from asia.judge.evaluation.results import Evaluation, FoldResult, same_simulations
+from asia.judge.scoring.confirmation import ComparedParts, Confirmation, paired_gain
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
+from asia.ledger.artifacts import Store
 from asia.ledger.events import Retest, Status
-from asia.ledger.view import SearchView, on_ladder
+from asia.ledger.view import Experiment, SearchView, on_ladder
 from asia.search.fair_trial import Tried, first_fit
 from asia.search.pending import retest_fits
 
@@ -77,13 +79,14 @@ def decide(
     tried: Tried | None = None,
     over: float | None = None,
     confirm: Confirm | None = None,
+    store: Store | None = None,
 ) -> Decision:
     """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
     handed over, must also come back bitwise the same from its bytes, and answer like a model. With
     the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
     say which one is kept. After an objection the folds stay. A new best whose gain is not confirmed
     is neither kept nor handed over. tried: where its first fit was made before; over: as in
-    `Proposed`."""
+    `Proposed`; store: artifacts of the search."""
     if tried is None:
         tried = first_fit(evaluator, source, view, over)
     source, evaluation = tried.source, tried.evaluation
@@ -95,6 +98,10 @@ def decide(
     folds, objected, confirmation = evaluation.folds, None, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
+    if view.started.by_folds and lowest and view.best and store is not None:
+        doubt = fold_doubt(evaluator, folds, view.best, store)
+        if doubt is not None:
+            return Decision(tried, doubt, validation_scores=scores)
     with ExitStack() as opened:
         if lowest and not evaluator.workers.is_sequential:
             # It is checked whatever the retests say.
@@ -125,6 +132,27 @@ def decide(
         lowest=lowest,
         confirmation=confirmation,
     )
+
+
+def fold_doubt(
+    evaluator: Evaluator, folds: Sequence[FoldResult], best: Experiment, store: Store
+) -> Status | None:
+    """Compare a candidate of lower V with the best one on the held-out samples of the folds:
+    `inconclusive` where the gain over all of them is not more than chance, `mixed` where it is and
+    a fold is worse by more than chance, None where nothing speaks against it."""
+    metric = evaluator.data.rule.metric
+    parts = [
+        ComparedParts(
+            [block.y for block in fold.held_out],
+            store.get_arrays(before.y_hat, fold.shapes),
+            after.y_hat,
+            fold.scale,
+        )
+        for fold, before, after in zip(evaluator.data.folds, best.folds, folds, strict=True)
+    ]
+    if paired_gain(parts, metric).low <= 0.0:
+        return "inconclusive"
+    return "mixed" if any(paired_gain([one], metric).high < 0.0 for one in parts) else None
 
 
 def _decide_by_retests(

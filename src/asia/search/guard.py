@@ -14,7 +14,12 @@ from asia.errors import CandidateError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import MEAN_REFERENCE
 from asia.judge.evaluation.results import Evaluation, FoldResult, mean_simulation
-from asia.judge.scoring.confirmation import Confirmation, guard_gain, share_gained
+from asia.judge.scoring.confirmation import (
+    ComparedParts,
+    Confirmation,
+    paired_gain,
+    share_gained,
+)
 from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
 from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.artifacts import Store
@@ -208,4 +213,4 @@ class Gate:
 
     def _gain(self, before: Simulation, after: Simulation) -> Interval:
         data, y = self.evaluator.data, [block.y for block in self._blocks]
-        return guard_gain(y, before, after, data.scale, data.rule.metric)
+        return paired_gain([ComparedParts(y, before, after, data.scale)], data.rule.metric)

@@ -326,7 +326,9 @@ class Loop:
             self.watch.waited(fitted.lane, begin - start)
         first = None if fitted is None else fitted.tried
         source = self.store.text(proposed.source)
-        decision = decide(self.evaluator, source, view, first, proposed.over, self.gate.confirm)
+        decision = decide(
+            self.evaluator, source, view, first, proposed.over, self.gate.confirm, self.store
+        )
         evaluation = decision.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = keep_folds(self.store, evaluation.folds)

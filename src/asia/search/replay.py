@@ -262,8 +262,9 @@ class _Replaying:
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
         judged = decide(
-            self.evaluator, source, view, over=proposed.over, confirm=self._gate.confirm
-        )
+            self.evaluator, source, view, over=proposed.over, confirm=self._gate.confirm,
+            store=self.run.store,
+        )  # fmt: skip
         item = self._compare(item, event.outcome, judged.evaluation.outcome)
         if item.outcome != "same":
             return item

@@ -281,6 +281,7 @@ def prepare(
         stop_folds=stop_folds,
         gate=problem.control is None and can_read_records(names),
         retest_limit=RETEST_LIMIT,
+        by_folds=rule.ladder is None and problem.control is None,
     )
     return Prepared(problem, directory, lock, started, resumes)
 

@@ -331,6 +331,7 @@ _STYLES = {
     "keep": "bold green",
     "discard": "dim",
     "inconclusive": "cyan",
+    "mixed": "cyan",
     "unconfirmed": "yellow",
     "crash": "red",
     "timeout": "yellow",

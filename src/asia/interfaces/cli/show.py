@@ -148,7 +148,7 @@ def _identified(run: Run, experiment: Experiment) -> IdentifiedModel | None:
         return identified(run)
     if experiment.score is None or not run.store.kept:
         return None
-    recipe = read_recipe(run.store.text(experiment.proposed.source))
+    recipe = read_recipe(run.store.text(experiment.source))
     library = recipe is not None and recipe.package == MODELS
     return identified_by_folds(run, experiment, library=library)
 

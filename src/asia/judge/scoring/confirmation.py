@@ -77,37 +77,49 @@ def share_gained(before: float, after: float) -> float:
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def guard_gain(
-    y: Sequence[Array],
-    before: Sequence[Array],
-    after: Sequence[Array],
-    scale: Array,
-    metric: str,
-) -> Interval:
-    """Return the share by which the error fell from one simulation to another.
+@dataclass(frozen=True)
+class ComparedParts:
+    """Two simulations of the same measured samples, such as those that a fold holds out."""
+
+    y: Sequence[Array]
+    """Measured outputs (H, ny) of each block."""
+    before: Sequence[Array]
+    after: Sequence[Array]
+    scale: Array
+    """(ny,)."""
+
+    @property
+    def losses(self) -> list[Array]:
+        """How much the squared error fell, (H,) of each block."""
+        squares = [
+            [
+                np.sum(((without_gaps(a, b) - b) / self.scale) ** 2, axis=1)
+                for a, b in zip(self.y, each, strict=True)
+            ]
+            for each in (self.before, self.after)
+        ]
+        return [a - b for a, b in zip(*squares, strict=True)]
+
+
+def paired_gain(parts: Sequence[ComparedParts], metric: str) -> Interval:
+    """Return the share by which the error, its mean over the parts, fell from one simulation to
+    another.
 
     The interval is that of the paired difference over blocks of the records, which are as many as
-    there are independent differences of squared errors, `BLOCKS` at most (delete-a-block jackknife
-    with Student's t; a bootstrap over so few blocks would be too narrow).
-
-    Args:
-        y: measured outputs (H, ny) of each guard block
-        before, after: two simulations of them
-        scale: (ny,)
+    there are independent differences of squared errors, `BLOCKS` a part at most (delete-a-block
+    jackknife with Student's t; a bootstrap over so few blocks would be too narrow).
     """
-    squares = [
-        [
-            np.sum(((without_gaps(a, b) - b) / scale) ** 2, axis=1)
-            for a, b in zip(y, each, strict=True)
-        ]
-        for each in (before, after)
-    ]
-    losses = [a - b for a, b in zip(*squares, strict=True)]
-    blocks = int(np.clip(independent_errors([losses]), 2, BLOCKS))
+    independent = independent_errors([part.losses for part in parts]) / len(parts)
+    blocks = int(np.clip(independent, 2, BLOCKS))
     one, other = (
         RepeatedFits(np.array([[values.mean()]]), values[None, None])
-        for values in (block_values(y, s, scale, metric, blocks) for s in (before, after))
-    )
+        for values in (
+            np.concatenate([
+                block_values(p.y, getattr(p, name), p.scale, metric, blocks) for p in parts
+            ])
+            for name in ("before", "after")
+        )
+    )  # fmt: skip
     found = paired_difference(one, other, LEVEL)
     if one.value <= 0.0:
         return Interval(0.0, 0.0, 0.0)

@@ -860,7 +860,7 @@ def draw_lanes(rows: Sequence[LineageRow]) -> tuple[Html, int]:
             if x0 != x1:
                 path = f"M{x0} {y0}V{turn}C{x0} {turn + 20} {x1} {turn + 14} {x1} {y1}"
             edges.append(tag("path", d=path, class_="edge won" if row.winning else "edge"))
-        scored = "discard", "inconclusive", "unconfirmed", "running", "unfinished"
+        scored = "discard", "inconclusive", "mixed", "unconfirmed", "running", "unfinished"
         kind = "kept" if row.status == "keep" else "other" if row.status in scored else None
         dots.append(tag("circle", cx=x1, cy=y1, r="5", class_=kind) if kind else _cross(x1, y1))
     width, height = (max(at.values(), default=0) + 1) * _LANE + 8, ROW * len(rows)
