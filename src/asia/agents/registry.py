@@ -53,12 +53,6 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         writes_code=False,
     ),
     AgentRow(
-        "forward",
-        "adds to the best model the effects that its residual shows",
-        ForwardAgent,
-        writes_code=False,
-    ),
-    AgentRow(
         "random",
         "draws from the model library",
         RandomAgent,
@@ -77,6 +71,12 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         "estimates where the library is best (Parzen estimator)",
         BayesAgent,
         reads_notes=False,
+        writes_code=False,
+    ),
+    AgentRow(
+        "forward",
+        "adds to the best model the effects that its residual shows",
+        ForwardAgent,
         writes_code=False,
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),

@@ -360,8 +360,8 @@ def make_stack(
     for e in view.finished:
         if e.score is None or e.result is None or e.number in refused:
             continue
-        # Fair trials may end in one and the same model.
-        if e.result.duplicate_of is not None or any(one.source == e.source for one in scored):
+        # Twins, and fair trials that end in one and the same model.
+        if any(one.score == e.score for one in scored):
             continue
         errors = [fold.diagnostics.train_error for fold in e.result.folds]
         # Those that were never checked must not be much better where they were not fitted.
