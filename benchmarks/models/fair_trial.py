@@ -68,7 +68,7 @@ def rows(system: Path, families: Sequence[str]) -> list[tuple[float, float, floa
             begun = time.monotonic()
             free = evaluator.evaluate(list(sources.values())[-1])
             between = time.monotonic()
-            tried = compared(list(sources), evaluator.inner_errors(list(sources.values())))
+            tried = compared(evaluator, sources)
             chosen = next((v.name for v in tried if v.chosen), list(sources)[-1])
             fair = evaluator.evaluate(sources[chosen])
             seconds = time.monotonic() - between, between - begun

@@ -10,9 +10,10 @@ Trees, 1984, section 3.4). Its source is the one that is scored, refitted and ha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
+from statistics import fmean
 
 import numpy as np
 
@@ -47,10 +48,8 @@ def first_fit(
         over: as in `Evaluator.evaluate`
     """
     sources = variants_of(source, linear_source(view))
-    variants: tuple[Variant, ...] = ()
-    if len(sources) > 1 and evaluator.data.inner_folds:
-        variants = compared(list(sources), evaluator.inner_errors(list(sources.values())))
-        source = next((sources[v.name] for v in variants if v.chosen), source)
+    variants = compared(evaluator, sources) if evaluator.data.inner_folds else ()
+    source = next((sources[v.name] for v in variants if v.chosen), source)
     return Tried(source, evaluator.evaluate(source, over=over), variants)
 
 
@@ -82,14 +81,28 @@ def variants_of(source: str, linear: str | None) -> dict[str, str]:
     return found
 
 
-def compared(
+def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant, ...]:
+    """Fit variants on the inner folds, from simple to free until their error rose twice, and choose
+    one."""
+    errors: list[tuple[float, ...] | None] = []
+    means, rises = list[float](), 0
+    for source in sources.values():
+        errors.append(evaluator.inner_errors(source))
+        means.append(inf if errors[-1] is None else fmean(errors[-1]))
+        rises += len(means) > 1 and means[-1] >= means[-2]
+        if rises == 2:
+            break
+    return chosen_of(list(sources)[: len(errors)], errors)
+
+
+def chosen_of(
     names: Sequence[str], errors: Sequence[tuple[float, ...] | None]
 ) -> tuple[Variant, ...]:
-    """Compare variants by their errors on the same parts of held-out records, and choose one.
+    """Choose the first variant that is within one standard error of the best.
 
     Args:
         names: of the variants, from simple to free
-        errors: of each on every part; None where it failed
+        errors: of each on the same parts of held-out records; None where it failed
     """
     known = {i: np.array(e) for i, e in enumerate(errors) if e is not None}
     if not known:

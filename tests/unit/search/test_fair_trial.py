@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from asia.judge.evaluation import references
 from asia.judge.evaluation.references import LINEAR
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
-from asia.search.fair_trial import compared, variants_of
+from asia.search.fair_trial import chosen_of, compared, variants_of
 from asia.search.replay import replay_run
 from asia.search.simulation import simulated_excerpts
 
@@ -60,7 +63,7 @@ def test_paths_go_from_stiff_to_free() -> None:
 def test_the_simplest_within_one_standard_error_is_chosen(seed: int) -> None:
     rng = np.random.default_rng(seed)
     errors = [tuple(rng.uniform(0.5, 1.5, 24)) for _ in range(4)]
-    found = compared(["a", "b", "c", "d"], errors)
+    found = chosen_of(["a", "b", "c", "d"], errors)
     best = min(found, key=lambda one: one.error or np.inf)
     chosen = next(one for one in found if one.chosen)
     assert sum(one.chosen for one in found) == 1
@@ -70,10 +73,34 @@ def test_the_simplest_within_one_standard_error_is_chosen(seed: int) -> None:
 
 
 def test_a_failed_variant_is_never_chosen() -> None:
-    found = compared(["linear", "ridge 0.1"], [None, (2.0, 3.0)])
+    found = chosen_of(["linear", "ridge 0.1"], [None, (2.0, 3.0)])
     assert [one.chosen for one in found] == [False, True]
     assert found[0].error is None
-    assert compared(["linear", "ridge 0.1"], [None, None]) == ()
+    assert chosen_of(["linear", "ridge 0.1"], [None, None]) == ()
+
+
+@pytest.mark.parametrize(
+    ("errors", "tried", "chosen"),
+    [
+        ((1.0, 2.0, 3.0, 0.1), 3, "linear"),
+        ((1.0, 2.0, 0.5, 0.6), 4, "ridge 0.001"),
+        ((1.0, None, 0.9, None), 4, "ridge 0.001"),
+        ((None, None, None, 1.0), 3, None),
+    ],
+)
+def test_a_path_ends_where_the_error_rose_twice(
+    errors: Sequence[float | None], tried: int, chosen: str | None
+) -> None:
+    sources = variants_of(OPEN.source(""), LINEAR)
+    known = dict(zip(sources.values(), errors, strict=True))
+
+    def inner_errors(source: str) -> tuple[float, ...] | None:
+        error = known[source]
+        return None if error is None else (error, 1.01 * error)
+
+    found = compared(cast(Any, SimpleNamespace(inner_errors=inner_errors)), sources)
+    assert len(found) == (tried if chosen else 0)
+    assert [one.name for one in found if one.chosen] == ([chosen] if chosen else [])
 
 
 @pytest.mark.slow
@@ -87,7 +114,8 @@ def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
     assert fixed.result is not None
     sources = variants_of(OPEN.source(""), references.LINEAR)
     (chosen,) = (one.name for one in opened.result.variants if one.chosen)
-    assert [one.name for one in opened.result.variants] == list(sources)
+    tried = [one.name for one in opened.result.variants]
+    assert tried == list(sources)[: len(tried)]
     assert run.store.text(opened.source) == sources[chosen]
     assert run.store.text(opened.proposed.source) == OPEN.source("")
     assert fixed.result.variants == ()

@@ -430,34 +430,29 @@ class Evaluator:
 
         return tuple(self.workers.run([partial(best, place) for place in range(len(results))]))
 
-    def inner_errors(self, sources: Sequence[str]) -> list[tuple[float, ...] | None]:
-        """Fit sources to parts of each fold's training records and simulate the rest.
+    def inner_errors(self, source: str) -> tuple[float, ...] | None:
+        """Fit a source to parts of each fold's training records and simulate the rest.
 
         Returns:
-            for each source the metric, as it enters V, on successive parts of `inner_folds`; None
-            where a fit or simulation failed
+            the metric, as it enters V, on successive parts of `inner_folds`; None where a fit or
+            simulation failed
         """
-        folds, rule = self.data.inner_folds, self.data.rule
-        bare = [executed_source(source) for source in sources]
+        rule, source = self.data.rule, executed_source(source)
 
-        def parts(source: str, fold: Fold) -> tuple[float, ...] | None:
+        def parts(fold: Fold) -> tuple[float, ...]:
             fitted = self._fitter.fit(source, fold, 0, None).result
-            try:
-                if isinstance(fitted, CandidateError):
-                    raise fitted
-                y = [block.y for block in fold.held_out]
-                return score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=True).parts
-            except CandidateError:
-                return None
+            if isinstance(fitted, CandidateError):
+                raise fitted
+            y = [block.y for block in fold.held_out]
+            return score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=True).parts
 
-        known, count = self._inner_errors, len(folds)
-        new = [s for s in dict.fromkeys(bare) if s not in known]
-        found = self.workers.run([partial(parts, s, fold) for s in new for fold in folds])
-        for place, source in enumerate(new):
-            each = found[place * count : (place + 1) * count]
-            kept = [one for one in each if one is not None]
-            known[source] = tuple(chain.from_iterable(kept)) if len(kept) == count else None
-        return [known[source] for source in bare]
+        if source not in self._inner_errors:
+            try:
+                found = self.workers.run([partial(parts, one) for one in self.data.inner_folds])
+                self._inner_errors[source] = tuple(chain.from_iterable(found))
+            except CandidateError:
+                self._inner_errors[source] = None
+        return self._inner_errors[source]
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
