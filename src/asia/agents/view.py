@@ -243,6 +243,8 @@ class Proposal:
         parent: the experiment it was derived from
         ticket: name of a submission
         remark: message for the user about the search, "" for none
+        fair: whether the linear model is scored in its place where that is as good inside the
+            training records
     """
 
     source: str
@@ -253,6 +255,7 @@ class Proposal:
     parent: int | None = None
     ticket: str = ""
     remark: str = ""
+    fair: bool = False
 
 
 class Agent(Protocol):

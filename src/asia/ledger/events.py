@@ -461,6 +461,8 @@ class Proposed:
     """Comment of the agent on the state of the search, for display; "" for none."""
     over: Annotated[float | None, _omitted(None)] = None
     """V above which the folds that are left do not count; None where all of them do."""
+    fair: Annotated[bool, _omitted(False)] = False
+    """True if the linear model is scored in its place where that is as good."""
     event: Literal["proposed"] = "proposed"
 
 

@@ -24,7 +24,7 @@ from asia.judge.scoring.confirmation import ComparedParts, Confirmation, paired_
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Retest, Status
+from asia.ledger.events import Proposed, Retest, Status
 from asia.ledger.view import Experiment, SearchView, on_ladder
 from asia.search.fair_trial import Tried, first_fit
 from asia.search.pending import retest_fits
@@ -77,7 +77,7 @@ def decide(
     source: str,
     view: SearchView,
     tried: Tried | None = None,
-    over: float | None = None,
+    proposed: Proposed | None = None,
     confirm: Confirm | None = None,
     store: Store | None = None,
 ) -> Decision:
@@ -85,10 +85,10 @@ def decide(
     handed over, must also come back bitwise the same from its bytes, and answer like a model. With
     the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
     say which one is kept. After an objection the folds stay. A new best whose gain is not confirmed
-    is neither kept nor handed over. tried: where its first fit was made before; over: as in
-    `Proposed`; store: artifacts of the search."""
+    is neither kept nor handed over. tried: where its first fit was made before; store: artifacts of
+    the search."""
     if tried is None:
-        tried = first_fit(evaluator, source, view, over)
+        tried = first_fit(evaluator, source, view, proposed)
     source, evaluation = tried.source, tried.evaluation
     scores, outcome = evaluation.validation_scores, evaluation.outcome
     if isinstance(outcome, Failure):

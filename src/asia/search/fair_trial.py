@@ -20,11 +20,15 @@ import numpy as np
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
 from asia.agents.view import LINEAR
+from asia.candidate import source_digest
 from asia.judge.evaluation import references
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation
-from asia.ledger.events import Variant
+from asia.ledger.events import Proposed, Variant
 from asia.ledger.view import SearchView
+
+PROPOSED = "as proposed"
+"""Variant that is the candidate itself."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +43,27 @@ class Tried:
 
 
 def first_fit(
-    evaluator: Evaluator, source: str, view: SearchView, over: float | None = None
+    evaluator: Evaluator, source: str, view: SearchView, proposed: Proposed | None = None
 ) -> Tried:
     """Choose what a candidate leaves open, then score it on every fold.
 
     Args:
         view: state of the search, whose reference is the linear variant
-        over: as in `Evaluator.evaluate`
+        proposed: record of the proposal; None where it is of no search
     """
-    sources = variants_of(source, linear_source(view))
+    over = None if proposed is None else proposed.over
+    fair = proposed is not None and proposed.fair and not _led(proposed, view)
+    sources = variants_of(source, linear_source(view), fair=fair)
     variants = compared(evaluator, sources) if evaluator.data.inner_folds else ()
     source = next((sources[v.name] for v in variants if v.chosen), source)
     return Tried(source, evaluator.evaluate(source, over=over), variants)
+
+
+def _led(proposed: Proposed, view: SearchView) -> bool:
+    """Whether its parent is better than the linear model, so that it need not be compared again."""
+    parent = None if proposed.parent is None else view.experiment(proposed.parent).value
+    linear = view.reference_value(references.LINEAR_REFERENCE)
+    return parent is not None and linear is not None and parent < linear
 
 
 def linear_source(view: SearchView) -> str | None:
@@ -61,20 +74,24 @@ def linear_source(view: SearchView) -> str | None:
     return next(r.source or references.LINEAR for r in view.references if r.name == name)
 
 
-def variants_of(source: str, linear: str | None) -> dict[str, str]:
+def variants_of(source: str, linear: str | None, *, fair: bool = False) -> dict[str, str]:
     """Sources of the variants of a candidate, by name, from simple to free; none where it leaves
     nothing open, or is no recipe of the library.
 
     Args:
         linear: source of the linear model, the simplest variant of all families but those that
             are built on equations
+        fair: whether it is compared with the linear model even if it leaves nothing open
     """
     recipe = read_recipe(source)
     row = None if recipe is None else family(recipe.family)
-    if recipe is None or row is None or row.path is None or recipe.has(row.path[0]):
+    if recipe is None or row is None:
         return {}
-    name, values = row.path
     found = {} if linear is None or row.kind == "equations" else {LINEAR: linear}
+    if row.path is None or recipe.has(row.path[0]):
+        own = linear is not None and source_digest(linear) == source_digest(source)
+        return {**found, PROPOSED: source} if fair and found and not own else {}
+    name, values = row.path
     for value in values:
         title = f"{name} {value:g}"
         found[title] = recipe.configured(**{name: value}).source(f"{row.label}, {title}")

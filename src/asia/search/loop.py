@@ -285,6 +285,7 @@ class Loop:
                 agent=view.agent if view.leg and not is_baseline else "",
                 remark=proposal.remark,
                 over=bound_on_folds(view),
+                fair=proposal.fair,
             )
         )
         return None
@@ -327,7 +328,7 @@ class Loop:
         first = None if fitted is None else fitted.tried
         source = self.store.text(proposed.source)
         decision = decide(
-            self.evaluator, source, view, first, proposed.over, self.gate.confirm, self.store
+            self.evaluator, source, view, first, proposed, self.gate.confirm, self.store
         )
         evaluation = decision.evaluation
         with self.watch.activity(Activity.LEDGER):

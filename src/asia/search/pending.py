@@ -196,7 +196,7 @@ class PendingFits:
         source = self._store.text(proposed.source)
         begin = time.monotonic()
         with self._evaluator.workers.stopwatch.aside() as lane:
-            tried = first_fit(self._evaluator, source, view, proposed.over)
+            tried = first_fit(self._evaluator, source, view, proposed)
         evaluation = tried.evaluation
         seconds = time.monotonic() - begin
         self._on_landed(

@@ -262,7 +262,7 @@ class _Replaying:
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
         judged = decide(
-            self.evaluator, source, view, over=proposed.over, confirm=self._gate.confirm,
+            self.evaluator, source, view, proposed=proposed, confirm=self._gate.confirm,
             store=self.run.store,
         )  # fmt: skip
         item = self._compare(item, event.outcome, judged.evaluation.outcome)

@@ -19,7 +19,7 @@ from asia.judge.evaluation import references
 from asia.judge.evaluation.references import LINEAR
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
-from asia.search.fair_trial import chosen_of, compared, variants_of
+from asia.search.fair_trial import PROPOSED, chosen_of, compared, variants_of
 from asia.search.replay import replay_run
 from asia.search.simulation import simulated_excerpts
 
@@ -51,6 +51,14 @@ def test_a_model_built_on_equations_is_not_exchanged_for_a_linear_one() -> None:
     assert row is not None
     assert row.kind == "equations"
     assert "linear" not in variants_of(Recipe("hybrid", (("units", 4),), *LM).source(""), LINEAR)
+
+
+def test_a_fair_trial_of_any_other_model_is_against_the_linear_one() -> None:
+    network = Recipe("ltc", (("units", 4),), "Adam", (("steps", 10),)).source("")
+    assert variants_of(network, LINEAR, fair=True) == {"linear": LINEAR, PROPOSED: network}
+    assert variants_of(network, None, fair=True) == {}
+    for source in (LINEAR, arx(2), Recipe("greybox", (), *LM).source("")):
+        assert variants_of(source, LINEAR, fair=True) == {}
 
 
 def test_paths_go_from_stiff_to_free() -> None:

@@ -177,11 +177,12 @@ def judged_as_without_the_ladder(
     source: str,
     view: SearchView,
     first: Tried | None = None,
-    over: float | None = None,
+    proposed: object = None,
     confirm: object = None,
+    store: object = None,
 ) -> Decision:
     """Only a would-be winner is doubted."""
-    del first, over, confirm
+    del first, proposed, confirm, store
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
     if decide_by_one_fit(evaluation.outcome, view) != "keep":

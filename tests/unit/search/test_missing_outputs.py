@@ -109,7 +109,7 @@ def references_search_and_evidence(s: Searched) -> None:
 def check(s: Searched) -> None:
     problem = load_problem(s.problem)
     lines = check_problem(problem, seal(problem)).lines()
-    assert any("not measured" in line for line in lines)
+    assert any("missing outputs" in line for line in lines)
     failed: list[str] = []
     assert draw_problem(problem, s.folder / "check", failed)
     assert failed == []

@@ -133,7 +133,7 @@ class ExpertAgent:
             )
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
-        return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks))
+        return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks), fair=True)
 
     def _best_of(self, view: AgentView, unwanted: set[str]) -> Proposal | None:
         moves, ladder = (

@@ -48,10 +48,11 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         source: str,
         view: SearchView,
         first: Tried | None = None,
-        over: float | None = None,
+        proposed: object = None,
         confirm: object = None,
+        store: object = None,
     ) -> Decision:
-        del first, over, confirm
+        del first, proposed, confirm, store
         best = view.best
         if not known:
             known.append(evaluator.evaluate(arx(2)))
