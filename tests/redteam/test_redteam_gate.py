@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from asia.judge.sandbox.availability import fitting_levels, why_not
@@ -68,9 +67,7 @@ def test_a_copy_is_unconfirmed_through_every_interface(interface: Interface, tmp
     all_unconfirmed(gated.play(FEW, tmp_path / "run", interface=interface))
 
 
-def test_folds_that_whisper_are_unconfirmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    # A fold with a large training error is fitted again, alone, which ends the exchange already.
-    monkeypatch.setattr("asia.judge.evaluation.results.POOR", np.inf)
+def test_folds_that_whisper_are_unconfirmed(tmp_path: Path):
     found, free = gated.play_both(WHISPERS, tmp_path, Isolation.PROCESS)
     all_unconfirmed(found)
     honest = found.values["honest"]

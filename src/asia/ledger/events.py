@@ -485,7 +485,7 @@ class FoldEvidence:
     isolation: Annotated[str, _omitted("")] = ""
     """The level in force on that machine; "" for the search's own, see `Evaluated`."""
     attempt: Annotated[int, _omitted(0)] = 0
-    """Seed of the fit, where the first one fitted the fold's own data badly."""
+    """Seed of the fit in older ledgers, where the first one fitted the fold's own data badly."""
 
 
 @dataclass(frozen=True)

@@ -450,7 +450,7 @@ def refit_winner(
         try:
             source = store.text(best.source)
             models = [store.get(fold.model) for fold in best.folds]
-            refit = evaluator.refit(source, [fold.attempt for fold in best.folds], models)
+            refit = evaluator.refit(source, models)
             checked = CheckedRefit(None, "it could not be compared with the fold models", None)
             with diagnostic("comparison of the refit", failed):
                 checked = check_refit(evaluator, source, models, refit.model, metric)

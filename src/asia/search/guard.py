@@ -174,7 +174,7 @@ class Gate:
         random = np.random.default_rng(self.evaluator.models.check_seed(source, "sequential"))
         for place in random.permutation(len(folds)).tolist():
             with self.evaluator.workers.fresh_workers():
-                result = self.evaluator.fit_fold(source, place, folds[place].attempt)
+                result = self.evaluator.fit_fold(source, place)
             if isinstance(result, Failure):
                 raise CandidateError(result.reason, result.detail)
             values.append(result.score.value)

@@ -79,7 +79,6 @@ def keep_folds(store: Store, folds: Sequence[FoldResult]) -> tuple[FoldEvidence,
             findings=put_findings(store, fold.findings) if fold.findings else None,
             machine=fold.machine,
             isolation=fold.isolation,
-            attempt=fold.attempt,
         )
         for fold in folds
     )
@@ -114,7 +113,6 @@ def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evalua
                     findings=get_findings(store, kept.findings) if kept.findings else None,
                     machine=kept.machine,
                     isolation=kept.isolation,
-                    attempt=kept.attempt,
                 )
             )
     output = store.text(landed.output) if landed.output else ""

@@ -188,13 +188,13 @@ def _repeats(problem: Problem) -> str:
     if not retests:
         return "The same source has the same V. `keep` and `best`: the lowest V so far."
     return f"""A try fits each fold once, and a possible new best again from up to {retests} other
-seeds. A fold that fits far worse than the others is fitted again too. V is that of the first fit.
-A gain within the standard deviation over seeds, which the answer names, is chance. **keep**: over
-its seeds the method is better than the last one kept, beyond chance. **best**: the lowest V of a
-first fit that the held-out samples of the folds show, and `best.py`; `inconclusive` says that its
-lower V may be chance, `mixed` that one fold is clearly worse. **unconfirmed**: held back records do
-not show half of its gain; it is neither kept nor best. Of a library model that states no `ridge`
-the search tries several, and the linear model, and scores the simplest that is as good."""
+seeds. V is that of the first fit. A gain within the standard deviation over seeds, which the answer
+names, is chance. **keep**: over its seeds the method is better than the last one kept, beyond
+chance. **best**: the lowest V of a first fit that the held-out samples of the folds show, and
+`best.py`; `inconclusive` says that its lower V may be chance, `mixed` that one fold is clearly
+worse. **unconfirmed**: held back records do not show half of its gain; it is neither kept nor best.
+Of a library model that states no `ridge` the search tries several, and the linear model, and scores
+the simplest that is as good."""
 
 
 def _contract(problem: Problem) -> str:

@@ -39,7 +39,7 @@ from asia.interfaces.workspace.workspace import SCORED, scored_locally
 from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes, steps_ahead
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
-from asia.judge.evaluation.results import ATTEMPT, best_attempt, derive_seed
+from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.validation_score import rounded_score
 from asia.judge.sandbox.layers.environment import COMPILED_ONCE, REPEATABLE
 from asia.judge.sandbox.worker.prefixes import by_prefixes
@@ -121,27 +121,7 @@ def evaluate(
     """
     check_source(source)
     source = executed_source(source)
-    found = [_evaluate_fold(source, fold, context, rule, fit_seconds) for fold in folds]
-    if rule.early_stopping != "inner" or len(found) < 2:
-        return tuple(found)
-    errors = [one.training_score.value for one in found]
-
-    def best(place: int) -> LocalFold:
-        answers = [found[place].y_hat]
-
-        def fitted(attempt: int) -> LocalFold | None:
-            one = _evaluate_fold(
-                source, folds[place], context, rule, fit_seconds, ATTEMPT * attempt
-            )
-            if any(all(map(np.array_equal, one.y_hat, known)) for known in answers):
-                return None
-            answers.append(one.y_hat)
-            return one
-
-        others = errors[:place] + errors[place + 1 :]
-        return best_attempt(found[place], lambda f: f.training_score.value, others, fitted)
-
-    return tuple(map(best, range(len(found))))
+    return tuple(_evaluate_fold(source, fold, context, rule, fit_seconds) for fold in folds)
 
 
 def _evaluate_fold(
@@ -150,7 +130,6 @@ def _evaluate_fold(
     context: Context,
     rule: ProtocolRule,
     fit_seconds: float,
-    start: int = 0,
 ) -> LocalFold:
     def score(blocks: Sequence[Block], y_hat: Sequence[Array]) -> FoldScore:
         return score_fold([b.y for b in blocks], y_hat, fold.scale, rule.metric)
@@ -179,7 +158,7 @@ def _evaluate_fold(
     exec(compile(source, name, "exec", dont_inherit=True), module.__dict__)
     known = replace(
         context,
-        seed=derive_seed(context.seed, fold.index, start),
+        seed=derive_seed(context.seed, fold.index, 0),
         deadline=time.monotonic() + fit_seconds,
         validation_score=validation_score if rule.early_stopping == "validation" else None,
     )

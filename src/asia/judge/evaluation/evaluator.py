@@ -36,13 +36,11 @@ from asia.judge.evaluation.requests import (
     spread,
 )
 from asia.judge.evaluation.results import (
-    ATTEMPT,
     Evaluation,
     FoldEnd,
     FoldResult,
     Refit,
     RefitModel,
-    best_attempt,
     derive_seed,
 )
 from asia.judge.evaluation.validation_score import Oracle
@@ -341,14 +339,9 @@ class Evaluator:
         """Relations that are not checked."""
         return self._options.without
 
-    def fit_fold(self, source: str, place: int, attempt: int = 0) -> FoldResult | Failure:
-        """Fit and score a source on one fold, by its place from 0, as in a search.
-
-        Args:
-            attempt: `FoldResult.attempt` of the fit to repeat
-        """
-        fold, start = self.data.folds[place], ATTEMPT * attempt
-        job = partial(self._fold_or_failure, executed_source(source), fold, start)
+    def fit_fold(self, source: str, place: int) -> FoldResult | Failure:
+        """Fit and score a source on one fold, by its place from 0, as in a search."""
+        job = partial(self._fold_or_failure, executed_source(source), self.data.folds[place])
         try:
             with self.workers.stopwatch.activity(Activity.CHECKS, swallows=True):
                 return self.workers.run([job])[0].result
@@ -397,38 +390,7 @@ class Evaluator:
             if isinstance(end.result, Failure):
                 return Evaluation(end.result, output=end.output, validation_scores=calls)
         results = tuple(end.result for end in ends if isinstance(end.result, FoldResult))
-        try:
-            results = self._fitted_again(source, results, start)
-        except CandidateError as error:
-            return Evaluation(Failure(error.reason, error.detail))
         return Evaluation(combine([r.score for r in results]), results, ends[0].output, calls)
-
-    def _fitted_again(
-        self, source: str, results: tuple[FoldResult, ...], start: int
-    ) -> tuple[FoldResult, ...]:
-        """Fit a fold from other seeds where its training error is far above those of the other
-        folds: its optimisation ended in a poor minimum. The lowest training error decides."""
-        if self.data.rule.early_stopping != "inner" or len(results) < 2:
-            return results
-
-        def best(place: int) -> FoldResult:
-            first = results[place]
-            others = [one.diagnostics.train_error for one in results if one is not first]
-            models, seconds = {first.model}, first.seconds
-
-            def fitted(attempt: int) -> FoldResult | None:
-                nonlocal seconds
-                seed = start + ATTEMPT * attempt
-                again = self._fold_or_failure(source, self.data.folds[place], seed).result
-                if isinstance(again, Failure) or again.model in models:
-                    return None
-                models.add(again.model)
-                seconds += again.seconds
-                return replace(again, attempt=attempt, seconds=seconds)
-
-            return best_attempt(first, lambda f: f.diagnostics.train_error, others, fitted)
-
-        return tuple(self.workers.run([partial(best, place) for place in range(len(results))]))
 
     def inner_errors(self, source: str) -> tuple[float, ...] | None:
         """Fit a source to parts of each fold's training records and simulate the rest.
@@ -497,25 +459,21 @@ class Evaluator:
         found = self._run_checks([job])
         return found if isinstance(found, Failure) else objection_to(found[0], None)
 
-    def refit(
-        self, source: str, attempts: Sequence[int] = (), fold_models: Sequence[bytes] = ()
-    ) -> Refit:
+    def refit(self, source: str, fold_models: Sequence[bytes] = ()) -> Refit:
         """Fit on all training records, and on one of the folds a second time.
 
         Args:
-            attempts: `FoldResult.attempt` of each fold; () for the first ones
             fold_models: models of the folds, for the families that can start from them
         """
         source = executed_source(source)
         folds = self.data.folds
         fold = folds[derive_seed(self.data.context.seed, self._options.salt) % len(folds)]
-        seed = ATTEMPT * attempts[fold.index] if attempts else 0
         models: list[RefitModel | CandidateError] = []
         results: list[FoldResult | Failure] = []
         self.workers.run(
             [
                 lambda: models.append(self._fit_all(source, 0, fold_models)),
-                lambda: results.append(self._fold_or_failure(source, fold, seed).result),
+                lambda: results.append(self._fold_or_failure(source, fold).result),
             ]
         )
         return Refit(models[0], fold.index + 1, results[0])

@@ -1,10 +1,9 @@
 """Results of an evaluation."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import median
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -86,9 +85,6 @@ class FoldResult:
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
     """The level that was in force there; "" for the search's own."""
-    attempt: int = 0
-    """Seed of the fit: 0 the first one; another one where the first one failed to fit the fold's
-    own data as well as those of the other folds fit theirs."""
 
 
 @dataclass(frozen=True)
@@ -204,42 +200,6 @@ def score_outputs(
     return combine(scores)
 
 
-# Fits of a fold that end in a poor minimum.
-
-
-T = TypeVar("T")
-
 POOR = 2.0
-"""Training error of a fold, relative to the median of the other folds, above which its fit is
-repeated."""
-_ATTEMPTS = 2
-"""Number of repetitions."""
-
-ATTEMPT = 1_000
-"""Distance of the starts from which a fit is repeated, see `derive_seed`."""
-
-
-def best_attempt(
-    first: T,
-    training_error: Callable[[T], float],
-    others: Sequence[float],
-    fit: Callable[[int], T | None],
-) -> T:
-    """Return the fit of a fold with the lowest training error, repeated from other seeds while that
-    is far above the other folds'.
-
-    Args:
-        first: the fit from the first seed
-        others: training errors of the other folds
-        fit: the fit of an attempt, from 1 on; None where it failed or does not depend on the seed
-    """
-    best = first
-    for attempt in range(1, _ATTEMPTS + 1):
-        if training_error(best) <= POOR * median(others):
-            break
-        again = fit(attempt)
-        if again is None:
-            break
-        if training_error(again) < training_error(best):
-            best = again
-    return best
+"""Training error of a fold, relative to the median of the other folds, from which on its fit
+probably ended in a poor minimum."""

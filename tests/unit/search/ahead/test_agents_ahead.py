@@ -39,7 +39,7 @@ def quick() -> Iterator[None]:
         number = int.from_bytes(hashlib.sha256(source.encode()).digest()[:4], "big")
         return replace(known[0], outcome=replace(outcome, value=0.1 + number / 2**32))
 
-    def refit(self: Evaluator, source: str, attempts: object = (), models: object = ()) -> None:
+    def refit(self: Evaluator, source: str, models: object = ()) -> None:
         raise CandidateError(Reason.CRASH, "made up")
 
     with pytest.MonkeyPatch.context() as patch:

@@ -64,7 +64,7 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         evaluation = replace(known[0], outcome=replace(outcome, value=value))
         return Decision(Tried(source, evaluation), "keep" if lower else "discard")
 
-    def refit(self: Evaluator, source: str, attempts: object = (), models: object = ()) -> None:
+    def refit(self: Evaluator, source: str, models: object = ()) -> None:
         raise CandidateError(Reason.CRASH, "made up")
 
     with pytest.MonkeyPatch.context() as patch:
