@@ -508,6 +508,8 @@ class Variant:
     name: str
     error: float | None = None
     """Metric as it enters V, mean over the parts; None where a fit or simulation failed."""
+    failed: str = ""
+    """Reason of a failure."""
     behind: float = 0.0
     """How much larger it is than that of the best variant, mean over the parts."""
     deviation: float = 0.0

@@ -442,7 +442,7 @@ def variant_lines(variants: Sequence[Variant]) -> Iterator[str]:
     )
     width = max(len(one.name) for one in variants)
     for one in variants:
-        figures = "failed"
+        figures = f"failed ({one.failed})"
         if one.error is not None:
             figures = f"{error_value(one.error)}"
             if one.behind:

@@ -128,7 +128,7 @@ def decide(
         decision,
         tried=replace(tried, evaluation=evaluation),
         status=status,
-        deadline=decision.deadline or status == "timeout",
+        deadline=decision.deadline or status == "timeout" or tried.late,
         lowest=lowest,
         confirmation=confirmation,
     )

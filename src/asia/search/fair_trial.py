@@ -21,6 +21,7 @@ from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
 from asia.agents.view import LINEAR
 from asia.candidate import source_digest
+from asia.errors import Reason
 from asia.judge.evaluation import references
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation
@@ -40,6 +41,11 @@ class Tried:
     evaluation: Evaluation
     variants: tuple[Variant, ...] = ()
     """Variants that were compared, from simple to free; () where nothing was open."""
+
+    @property
+    def late(self) -> bool:
+        """Whether the speed of the machine influenced the choice."""
+        return any(v.failed and Reason(v.failed).status == "timeout" for v in self.variants)
 
 
 def first_fit(
@@ -101,11 +107,11 @@ def variants_of(source: str, linear: str | None, *, fair: bool = False) -> dict[
 def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant, ...]:
     """Fit variants on the inner folds, from simple to free until their error rose twice, and choose
     one."""
-    errors: list[tuple[float, ...] | None] = []
+    errors: list[tuple[float, ...] | Reason] = []
     means, rises = list[float](), 0
     for source in sources.values():
         errors.append(evaluator.inner_errors(source))
-        means.append(inf if errors[-1] is None else fmean(errors[-1]))
+        means.append(inf if isinstance(errors[-1], Reason) else fmean(errors[-1]))
         rises += len(means) > 1 and means[-1] >= means[-2]
         if rises == 2:
             break
@@ -113,15 +119,15 @@ def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant,
 
 
 def chosen_of(
-    names: Sequence[str], errors: Sequence[tuple[float, ...] | None]
+    names: Sequence[str], errors: Sequence[tuple[float, ...] | Reason]
 ) -> tuple[Variant, ...]:
     """Choose the first variant that is within one standard error of the best.
 
     Args:
         names: of the variants, from simple to free
-        errors: of each on the same parts of held-out records; None where it failed
+        errors: of each on the same parts of held-out records, or why it failed
     """
-    known = {i: np.array(e) for i, e in enumerate(errors) if e is not None}
+    known = {i: np.array(e) for i, e in enumerate(errors) if not isinstance(e, Reason)}
     if not known:
         return ()
     best = min(known.values(), key=lambda e: float(e.mean()))
@@ -131,8 +137,8 @@ def chosen_of(
     }
     chosen = min(i for i, d in behind.items() if d.mean() <= deviation[i])
     return tuple(
-        Variant(name, float(known[i].mean()), float(behind[i].mean()), deviation[i], i == chosen)
-        if i in known
-        else Variant(name)
-        for i, name in enumerate(names)
+        Variant(name, failed=error.value)
+        if isinstance(error, Reason)
+        else Variant(name, fmean(error), "", float(behind[i].mean()), deviation[i], i == chosen)
+        for i, (name, error) in enumerate(zip(names, errors, strict=True))
     )

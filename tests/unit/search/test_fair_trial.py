@@ -14,12 +14,17 @@ from hypothesis import strategies as st
 
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import all_families, family
+from asia.data import Trajectory
+from asia.errors import Reason
 from asia.interfaces.cli.show import describe, wide_console
 from asia.judge.evaluation import references
+from asia.judge.evaluation.evaluator import EvaluationData
 from asia.judge.evaluation.references import LINEAR
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
-from asia.search.fair_trial import PROPOSED, chosen_of, compared, variants_of
+from asia.problem.folds import make_folds
+from asia.problem.protocol import EarlyStopping, FoldRule, ProtocolRule
+from asia.search.fair_trial import PROPOSED, Tried, chosen_of, compared, variants_of
 from asia.search.replay import replay_run
 from asia.search.simulation import simulated_excerpts
 
@@ -61,6 +66,22 @@ def test_a_fair_trial_of_any_other_model_is_against_the_linear_one() -> None:
         assert variants_of(source, LINEAR, fair=True) == {}
 
 
+@pytest.mark.parametrize(
+    ("samples", "stopping", "count"), [(300, "inner", 3), (300, "validation", 0), (40, "inner", 0)]
+)
+def test_inner_folds_are_there_where_they_can_be_used(
+    samples: int, stopping: EarlyStopping, count: int
+) -> None:
+    rng = np.random.default_rng(0)
+    record = Trajectory(rng.normal(size=samples), rng.normal(size=samples), 1.0, "r")
+    rule = ProtocolRule(
+        folds=FoldRule(count=2), past_inputs=4, past_outputs=4, horizon=10, early_stopping=stopping
+    )
+    folds = make_folds([record], rule)
+    data = EvaluationData(folds, (record,), cast(Any, None), rule)
+    assert len(data.inner_folds) == count
+
+
 def test_paths_go_from_stiff_to_free() -> None:
     paths = [row.path[1] for row in all_families() if row.path is not None]
     assert paths
@@ -81,10 +102,12 @@ def test_the_simplest_within_one_standard_error_is_chosen(seed: int) -> None:
 
 
 def test_a_failed_variant_is_never_chosen() -> None:
-    found = chosen_of(["linear", "ridge 0.1"], [None, (2.0, 3.0)])
+    found = chosen_of(["linear", "ridge 0.1"], [Reason.FIT_TIMEOUT, (2.0, 3.0)])
     assert [one.chosen for one in found] == [False, True]
     assert found[0].error is None
-    assert chosen_of(["linear", "ridge 0.1"], [None, None]) == ()
+    assert Tried("", cast(Any, None), found).late
+    assert not Tried("", cast(Any, None), found[1:]).late
+    assert chosen_of(["linear"], [Reason.CRASH]) == ()
 
 
 @pytest.mark.parametrize(
@@ -102,9 +125,9 @@ def test_a_path_ends_where_the_error_rose_twice(
     sources = variants_of(OPEN.source(""), LINEAR)
     known = dict(zip(sources.values(), errors, strict=True))
 
-    def inner_errors(source: str) -> tuple[float, ...] | None:
+    def inner_errors(source: str) -> tuple[float, ...] | Reason:
         error = known[source]
-        return None if error is None else (error, 1.01 * error)
+        return Reason.NOT_FINITE if error is None else (error, 1.01 * error)
 
     found = compared(cast(Any, SimpleNamespace(inner_errors=inner_errors)), sources)
     assert len(found) == (tried if chosen else 0)

@@ -81,9 +81,11 @@ class EvaluationData:
 
     @cached_property
     def inner_folds(self) -> tuple[Fold, ...]:
-        """Folds within the training records of the folds; () where these are too short."""
+        """Folds within the training records of the folds; () where these are too short, and where
+        fits ask for their score on what is held out."""
         try:
-            return inner_folds(self.folds, self.rule)
+            inner = self.rule.early_stopping == "inner"
+            return inner_folds(self.folds, self.rule) if inner else ()
         except UserError:
             return ()
 
@@ -326,7 +328,7 @@ class Evaluator:
         self.models = StoredModels(data, workers, self._options)
         self._analysing = threading.Lock()
         # Of sources as they are executed: the linear model is a variant of many candidates.
-        self._inner_errors: dict[str, tuple[float, ...] | None] = {}
+        self._inner_errors: dict[str, tuple[float, ...] | Reason] = {}
         self._fitter = FoldFitter(
             data.rule, data.context, workers, self._options.problem, self._options.without
         )
@@ -392,12 +394,12 @@ class Evaluator:
         results = tuple(end.result for end in ends if isinstance(end.result, FoldResult))
         return Evaluation(combine([r.score for r in results]), results, ends[0].output, calls)
 
-    def inner_errors(self, source: str) -> tuple[float, ...] | None:
+    def inner_errors(self, source: str) -> tuple[float, ...] | Reason:
         """Fit a source to parts of each fold's training records and simulate the rest.
 
         Returns:
-            the metric, as it enters V, on successive parts of `inner_folds`; None where a fit or
-            simulation failed
+            the metric, as it enters V, on successive parts of `inner_folds`; the reason where a fit
+            or simulation failed
         """
         rule, source = self.data.rule, executed_source(source)
 
@@ -412,8 +414,8 @@ class Evaluator:
             try:
                 found = self.workers.run([partial(parts, one) for one in self.data.inner_folds])
                 self._inner_errors[source] = tuple(chain.from_iterable(found))
-            except CandidateError:
-                self._inner_errors[source] = None
+            except CandidateError as error:
+                self._inner_errors[source] = error.reason
         return self._inner_errors[source]
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
