@@ -513,7 +513,7 @@ class Variant:
     behind: float = 0.0
     """How much larger it is than that of the best variant, mean over the parts."""
     deviation: float = 0.0
-    """Standard error of that difference."""
+    """Standard error of that difference, or of the best one's error if that is smaller."""
     chosen: bool = False
     """Whether its source was scored: the first variant that is no further behind than that."""
 

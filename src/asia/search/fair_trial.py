@@ -121,7 +121,10 @@ def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant,
 def chosen_of(
     names: Sequence[str], errors: Sequence[tuple[float, ...] | Reason]
 ) -> tuple[Variant, ...]:
-    """Choose the first variant that is within one standard error of the best.
+    """Choose the first variant that is behind the best by no more than one standard error.
+
+    It is that of the paired difference, or that of the best variant's error if this is smaller: a
+    variant that diverges in a single part has a difference as large as its standard error.
 
     Args:
         names: of the variants, from simple to free
@@ -133,7 +136,10 @@ def chosen_of(
     best = min(known.values(), key=lambda e: float(e.mean()))
     behind = {i: e - best for i, e in known.items()}
     deviation = {
-        i: float(d.std(ddof=1)) / sqrt(len(d)) if len(d) > 1 else 0.0 for i, d in behind.items()
+        i: min(float(values.std(ddof=1)) for values in (d, best)) / sqrt(len(d))
+        if len(d) > 1
+        else 0.0
+        for i, d in behind.items()
     }
     chosen = min(i for i, d in behind.items() if d.mean() <= deviation[i])
     return tuple(

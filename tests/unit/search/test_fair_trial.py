@@ -101,6 +101,15 @@ def test_the_simplest_within_one_standard_error_is_chosen(seed: int) -> None:
     assert all(one.behind > one.deviation for one in found[: found.index(chosen)])
 
 
+def test_a_variant_that_diverges_in_one_part_is_not_taken_for_equal() -> None:
+    rng = np.random.default_rng(0)
+    best = 0.1 + 0.01 * rng.random(24)
+    lost = best - 1e-4
+    lost[3] = 50.0
+    found = chosen_of(["linear", "ridge 0.1"], [tuple(lost), tuple(best)])
+    assert [one.chosen for one in found] == [False, True]
+
+
 def test_a_failed_variant_is_never_chosen() -> None:
     found = chosen_of(["linear", "ridge 0.1"], [Reason.FIT_TIMEOUT, (2.0, 3.0)])
     assert [one.chosen for one in found] == [False, True]
