@@ -60,7 +60,7 @@ def first_fit(
     over = None if proposed is None else proposed.over
     fair = proposed is not None and proposed.fair and not _led(proposed, view)
     sources = variants_of(source, linear_source(view), fair=fair)
-    variants = compared(evaluator, sources) if evaluator.data.inner_folds else ()
+    variants = compared(evaluator, sources) if sources and evaluator.data.inner_folds else ()
     source = next((sources[v.name] for v in variants if v.chosen), source)
     return Tried(source, evaluator.evaluate(source, over=over), variants)
 
