@@ -187,14 +187,11 @@ def _repeats(problem: Problem) -> str:
     retests = problem.budget.retests
     if not retests:
         return "The same source has the same V. `keep` and `best`: the lowest V so far."
-    return f"""A try fits each fold once, and a possible new best again from up to {retests} other
-seeds. V is that of the first fit. A gain within the standard deviation over seeds, which the answer
-names, is chance. **keep**: over its seeds the method is better than the last one kept, beyond
-chance. **best**: the lowest V of a first fit that the held-out samples of the folds show, and
-`best.py`; `inconclusive` says that its lower V may be chance, `mixed` that one fold is clearly
-worse. **unconfirmed**: held back records do not show half of its gain; it is neither kept nor best.
-Of a library model that states no `ridge` the search tries several, and the linear model, and scores
-the simplest that is as good."""
+    return f"""A try fits each fold once, a new best again from up to {retests} other seeds. V is that
+of the first fit. **keep**: over its seeds the method is better than the last one kept. **best**:
+the lowest V that all folds show, and `best.py`; `inconclusive`: its gain may be chance, in seeds or
+samples; `mixed`: a fold is worse. **unconfirmed**: held back records do not show half of its gain.
+A library model without `ridge` gets the best of several, or the linear model."""
 
 
 def _contract(problem: Problem) -> str:

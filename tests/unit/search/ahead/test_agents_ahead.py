@@ -10,7 +10,7 @@ import pytest
 from asia.agents import Agent, make_agent
 from asia.agents.relay import RelayAgent, legs_of, make_runner
 from asia.errors import CandidateError, Reason
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.results import Evaluation
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Proposed
@@ -44,6 +44,8 @@ def quick() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Evaluator, "evaluate", evaluate)
+        # Nothing is compared before.
+        patch.setattr(EvaluationData, "inner_folds", ())
         patch.setattr(Evaluator, "objection", lambda self, source, folds: None)
         # Guard records say nothing of a score that was made up.
         patch.setattr(Gate, "confirm", lambda self, source, evaluation, view: None)
