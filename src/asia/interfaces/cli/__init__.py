@@ -290,20 +290,21 @@ _ASSIGNED = re.compile(r"[^-=/]+=[^=]")
 def spread(words: list[str]) -> list[str]:
     """Repeat a list option before each of its words: `--train a.csv b.csv` becomes `--train a.csv
     --train b.csv`. Raises UserError for a second NAME=VALUE after an option that takes one word."""
-    for option, first, second in zip(words, words[1:], words[2:], strict=False):
-        if option.startswith("--") and all(map(_ASSIGNED.match, (first, second))):
-            raise UserError(
-                f"'{second}' belongs to no option: {option} takes one word, so write "
-                f"{option} {first},{second}"
-            )
     known = {
         "init": init.LISTS,
         "validate": ("--columns",),
         "bench paper": _bench.LISTS,
         "bench agents": _bench.COMPARE_LISTS,
     }
-    lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2]))
-    if lists is None:
+    lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2])) or ()
+    for name, first, second in zip(words, words[1:], words[2:], strict=False):
+        alone = name.startswith("--") and name not in lists
+        if alone and all(map(_ASSIGNED.match, (first, second))):
+            raise UserError(
+                f"'{second}' belongs to no option: {name} takes one word, so write "
+                f"{name} {first},{second}"
+            )
+    if not lists:
         return words
     option: str | None = None
     found: list[str] = []

@@ -39,6 +39,9 @@ def test_a_second_value_after_an_option_is_refused() -> None:
         spread(["linear", "run", "--at", "a=1", "b=2"])
     for words in (["linear", "--at", "a=1", "--at", "b=2"], ["linear", "--at", "a=1", "run"]):
         assert spread(words) == words
+    # An option that takes several words has them.
+    named = ["validate", "run", "--columns", "u=a", "--columns", "y=b"]
+    assert spread(["validate", "run", "--columns", "u=a", "y=b"]) == named
 
 
 def test_several_records_and_back(data: tuple[str, str], asia: Asia) -> None:
