@@ -1,4 +1,4 @@
-"""What a fair trial is worth: a family's first configuration with its freest setting, against the
+"""V and time of a fair trial: a family's first configuration with its freest setting, against the
 variant that the search chooses inside the training records.
 
 For each measured system and family the table has V relative to the best linear model, without and

@@ -1,4 +1,4 @@
-"""What a candidate leaves open is chosen inside the training records, once for all folds."""
+"""Choice of open settings inside the training records, the same for all folds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Moves on the equations of a grey-box and on ridge weights."""
+"""Moves on the equations of a grey-box."""
 
 from collections.abc import Callable
 

@@ -187,11 +187,11 @@ def _repeats(problem: Problem) -> str:
     retests = problem.budget.retests
     if not retests:
         return "The same source has the same V. `keep` and `best`: the lowest V so far."
-    return f"""A try fits each fold once, a new best again from up to {retests} other seeds. V is of
-the first fit. **keep**: over its seeds the method is better than the last one kept. **best**:
-the lowest V that all folds show, and `best.py`; `inconclusive`: its gain may be chance, in seeds or
-samples; `mixed`: a fold is worse. **unconfirmed**: held back records do not show half of its gain.
-A library model without `ridge` gets the best of several, or the linear model."""
+    return f"""A try fits each fold once, a new best again from up to {retests} other seeds. V is
+that of the first fit. **keep**: over its seeds the method is better than the last one kept.
+**best**: the lowest V that the folds show together, and `best.py`. `inconclusive`: its gain may be
+chance. `mixed`: a fold is worse. **unconfirmed**: held back records do not show half of its gain.
+For a library model without `ridge` one is chosen, or the linear model where that is as good."""
 
 
 def _contract(problem: Problem) -> str:
