@@ -12,7 +12,6 @@ from asia._plugins import Part, load_target, parts_of
 from asia._text import one_line
 from asia.agents.bayes import BayesAgent
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.expert.forward import ForwardAgent
 from asia.agents.leading import LeadingAgent
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.settings import LlmSettings
@@ -71,12 +70,6 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         "estimates where the library is best (Parzen estimator)",
         BayesAgent,
         reads_notes=False,
-        writes_code=False,
-    ),
-    AgentRow(
-        "forward",
-        "adds to the best model the effects that its residual shows",
-        ForwardAgent,
         writes_code=False,
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),

@@ -94,13 +94,12 @@ def variants_of(source: str, linear: str | None, *, fair: bool = False) -> dict[
     if recipe is None or row is None:
         return {}
     found = {} if linear is None or row.kind == "equations" else {LINEAR: linear}
-    if row.path is None or recipe.has(row.path[0]):
+    if row.path is None or not row.path.is_open(recipe):
         own = linear is not None and source_digest(linear) == source_digest(source)
         return {**found, PROPOSED: source} if fair and found and not own else {}
-    name, values = row.path
-    for value in values:
-        title = f"{name} {value:g}"
-        found[title] = recipe.configured(**{name: value}).source(f"{row.label}, {title}")
+    for value in row.path.values:
+        title = f"{row.path.name} {value:g}"
+        found[title] = recipe.configured(**{row.path.name: value}).source(f"{row.label}, {title}")
     return found
 
 

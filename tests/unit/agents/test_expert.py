@@ -11,7 +11,6 @@ from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.diagnosis import COURSE_MOVES, answers, places
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cards import neural_ss
-from asia.agents.library.family import Timing
 from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.registry import families, family
@@ -195,11 +194,11 @@ def test_the_settings_of_a_clearly_better_linear_model_come_first() -> None:
     assert equal is not None
     assert equal.title != better.title
     # It takes no integrators, levels, noise model or further state.
-    at = Situation(seen, trial(better, 2, 0.28), found, usual, 0, 1)
+    at = Situation(seen, trial(better, 2, 0.28), found, usual, 0)
     stuck = ("a free integrator", "slow disturbance in the noise", "one state more")
     moves = [m for m in all_moves() if m.name in stuck and m.applies(at)]
     assert {m.name for m in moves} == set(stuck)
-    assert all(m.weight(at) == 0 for m in moves)
+    assert all(m.evidence(at) == 0 for m in moves)
 
 
 @pytest.mark.parametrize("given", ["greybox", "simulator"])
@@ -226,14 +225,6 @@ def test_a_small_share_is_no_diagnosis() -> None:
     assert following(known, with_diagnosis(trials, ("amplitude", 0.05))).title == (
         following(known, trials).title
     )
-
-
-def test_block_oriented_models_come_early_where_the_residual_depends_on_the_amplitude() -> None:
-    known = simulation(physics=False)
-    first = trial(following(known, (), "explore"), 1, 0.3)
-    assert following(known, (first,), "explore").family != "block_oriented"
-    static = replace(first, diagnoses=(("amplitude", 0.15),))
-    assert following(known, (static,), "explore").family == "block_oriented"
 
 
 def test_a_sensor_without_sign_is_tried_where_the_description_says_so() -> None:
@@ -275,17 +266,6 @@ def test_a_family_that_has_the_leading_function_inside_begins_without(
     assert name in sources["neural_ss"]
 
 
-def test_first_fits_that_take_far_longer_come_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = simulation(physics=False)
-    first = following(known, (), "explore")
-    row = family(first.family)
-    assert row is not None
-    dear = replace(row, timing=Timing(start=1e4, unit=0.0))
-    rows = [dear if one.name == row.name else one for one in families(known)]
-    monkeypatch.setattr(agent, "families", lambda facts: rows)
-    assert following(known, (), "explore").family != first.family
-
-
 def test_a_biased_grey_box_gets_an_offset_before_other_things() -> None:
     known = simulation(physics=True)
     trials = climb(known, {"greybox": 0.3})
@@ -303,44 +283,29 @@ def test_overfit_and_plateau_are_read_from_the_training_side() -> None:
     assert plateau_share(known.records) < 0.02
 
 
-def test_the_cheaper_one_of_two_equal_moves_is_made_first(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    known = simulation(physics=False)
-    trials = climb(known, {"narx": 0.3, "linear": 0.3})
-    first = following(known, trials)
-    row = family(first.family)
-    assert row is not None
-    dear = replace(row, timing=Timing(start=1e6, unit=0.0))
-    monkeypatch.setattr(agent, "family", lambda name: dear if name == row.name else family(name))
-    assert following(known, trials).family != first.family
-
-
-def test_after_linear_models_alone_the_most_apt_family_is_next_and_not_the_cheapest() -> None:
+def test_after_a_linear_model_the_most_apt_family_is_next_and_not_the_cheapest() -> None:
     known = simulation(physics=False)
     usual = family("linear")
     assert usual is not None
     baseline = Proposal(usual.trial(known).source(""), "baseline", "baseline", "", "")
-    trials = (trial(baseline, 1, 0.2),)
-    second = following(known, trials)
-    assert second.family == "linear"
     ladder = [row for row in families(known) if row.name != "linear"]
     seconds = [row.seconds(known, row.trial(known)) for row in ladder]
     assert seconds[0] > 10 * min(seconds)
-    assert following(known, (*trials, trial(second, 2, 0.3))).family == ladder[0].name
+    assert following(known, (trial(baseline, 1, 0.2),), "explore").family == ladder[0].name
 
 
 def steps(recipe: Recipe) -> float:
     return recipe.number("steps", 0)
 
 
-def test_successive_halving_promotes_the_best_third_and_no_other() -> None:
+def test_a_long_fit_is_for_families_that_are_carried_on() -> None:
     known = windows()
-    values = {"autoregressive": 0.30, "recurrent": 0.31, "subnet": 0.32}
+    values = {"autoregressive": 0.30, "recurrent": 0.31}
     trials = climb(known, values)
+    trials = tuple(replace(t, folds=(0.29, 0.33)) if t.family == "recurrent" else t for t in trials)
     short = {t.family: steps(recipe_of(t)) for t in trials}
     promoted: list[str] = []
-    for number in range(len(trials) + 1, len(trials) + 16):
+    for number in range(len(trials) + 1, len(trials) + 8):
         proposal = following(known, trials)
         if proposal.title.endswith(": fitted in full"):
             promoted.append(proposal.family)
@@ -349,10 +314,7 @@ def test_successive_halving_promotes_the_best_third_and_no_other() -> None:
             cheap = next(t for t in trials if t.family == proposal.family)
             assert recipe_of(proposal).config == recipe_of(cheap).config
         trials = (*trials, trial(proposal, number, values.get(proposal.family, 0.9) + 0.01))
-    # Behind the leader, the cheaper fit first.
-    assert promoted[0] == "autoregressive"
-    assert set(promoted[:3]) == set(values)
-    assert len(promoted) <= -(-len(families(known)) // 3)
+    assert promoted == ["autoregressive", "recurrent"]
 
 
 @pytest.mark.slow
@@ -371,7 +333,7 @@ def test_validation_mode_stops_every_gradient_method_by_the_held_out_part(known:
     assert all(recipe_of(t).get("stop") is None for t in inner)
 
 
-def test_a_family_that_ran_away_or_out_of_time_gets_a_second_chance() -> None:
+def test_a_family_that_ran_out_of_time_gets_a_second_chance() -> None:
     known = simulation(physics=False)
     trials = tuple(
         replace(t, value=None, folds=(), diagnostics=(), status="timeout")
@@ -383,10 +345,6 @@ def test_a_family_that_ran_away_or_out_of_time_gets_a_second_chance() -> None:
     assert proposal.title == "LTC network: a shorter fit"
     first = next(t for t in trials if t.family == "ltc")
     assert steps(recipe_of(proposal)) < 0.5 * steps(recipe_of(first))
-    trials = tuple(replace(t, status="invalid") if t.family == "ltc" else t for t in trials)
-    calmer = following(known, trials)
-    assert calmer.title == "LTC network: a calmer fit"
-    assert recipe_of(calmer).number("learning_rate", 1) < 5e-4
 
 
 @pytest.mark.long
@@ -428,7 +386,7 @@ def test_a_repeated_title_says_which_settings_change() -> None:
     for title, expected in (("other", first), (first, f"{first} (order 3 to 4)")):
         shown = view(known, (replace(best, title=title),), "refine")
         recipe = recipe_of(best).configured(order=3)
-        at = Situation(shown, best, recipe, row, 0, 1)
+        at = Situation(shown, best, recipe, row, 0)
         assert title_of(at, more, more.change(at)) == expected
 
 
@@ -440,7 +398,7 @@ def test_one_state_more_is_more_than_the_fit_chose() -> None:
     seen = view(known, (replace(first, order=4),), "refine")
     more = next(m for m in all_moves() if m.name == "one state more")
     for own, expected in ((None, 5), (2, 3)):
-        at = Situation(seen, replace(first, order=own), row.trial(known), row, 0, 1)
+        at = Situation(seen, replace(first, order=own), row.trial(known), row, 0)
         assert more.change(at).get("order") == expected
 
 
@@ -482,7 +440,7 @@ def test_models_without_equations_get_the_symmetries_of_their_signals(leader: st
     assert not given(inner)
 
 
-def test_coloured_residuals_get_segments_and_polynomials_before_any_ridge() -> None:
+def test_coloured_residuals_get_segments_then_polynomials() -> None:
     known = simulation(physics=False)
     trials = climb(known, {"neural_ss": 0.3})
     # The other families have had their refinement.

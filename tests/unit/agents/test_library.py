@@ -115,9 +115,9 @@ def test_random_draws_the_settings_of_moves_too(known: Facts) -> None:
                 (value, value), None, (CLEAN, CLEAN),
             )  # fmt: skip
             others = [replace(trial, number=n, family=name) for n, name in ((2, "a"), (3, "b"))]
-            case = Situation(replace(now, trials=(trial, *others)), trial, recipe, row, 0, 1)
+            case = Situation(replace(now, trials=(trial, *others)), trial, recipe, row, 0)
             for move in all_moves():
-                if move.applies(case) and move.weight(case) > 0:
+                if move.applies(case) and move.evidence(case):
                     changed = move.change(case)
                     made += 1
                     if changed.method == recipe.method:

@@ -50,7 +50,7 @@ FAMILY = Family(
 )
 CARD = Card((FAMILY,), (
     Move(
-        name="twice the gain", weight=lambda at: 0.99,
+        name="twice the gain", evidence=lambda at: 3,
         change=lambda at: at.recipe.times("gain", 2.0, 1.0),
         hypothesis="More.", expected="More.",
     ),
@@ -89,6 +89,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     package.mkdir()
     (package / "__init__.py").write_text("")
     (package / "static_gain.py").write_text(MODEL)
+    (package / "card.py").write_text(CARD)
     (tmp_path / "plugged_card.py").write_text(CARD)
     (tmp_path / "loose_agent.py").write_text(AGENT)
     monkeypatch.chdir(tmp_path)
@@ -117,7 +118,7 @@ def plug(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 @pytest.mark.parametrize("name", ["FAMILY", pytest.param("CARD", marks=pytest.mark.slow)])
 def test_a_family_of_another_package_is_searched_as_those_here(plug, name: str) -> None:
     known: Facts = simulation(physics=False)
-    plug("asia.families", "gain", f"plugged_card:{name}")
+    plug("asia.families", "gain", f"plugged_models.card:{name}")
     assert families(known)[0].name == "static_gain"
     for make in (ExpertAgent, RandomAgent, BayesAgent):
         found = [t for t in search(make, known, 80) if t.family == "static_gain"]

@@ -1,21 +1,29 @@
-"""The default agent: an engineer's habits, deterministic, no language model.
+"""The default agent: fair trials of model families, then forward selection of effects.
 
-Explore: a first, cheap configuration of each of the families most apt for the problem, interrupted
-by a move that is near certain. Refine: of all moves on the best trial of each family, the one with
-the most weight for the seconds it is expected to take.
+1. Families of what the user gave, equations or a simulator, come first, then the ladder of families
+   in the order of their aptness, for the first part of the budget. An effect that explains more
+   than a third of the residual of the best candidate interrupts it.
+2. Effects are added to the best candidate, by the share of the residual that they explain. One that
+   does not help is struck out for this candidate.
+3. The best candidate of another family is carried on as well while its error over the folds is
+   within one standard error of the best.
+4. Where nothing points at an effect, or two in a row did not help, the next family of the ladder
+   gets its trial. Effects that nothing points at come last.
+
+It is deterministic and needs no language model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from statistics import median
+from itertools import takewhile
+from math import sqrt
+from statistics import fmean, stdev
 
 from asia.agents.control import propose_controller
-from asia.agents.expert.allocation import CLOSE, Allocation
 from asia.agents.expert.diagnosis import (
-    DYNAMICS,
     answers,
     beats_nothing,
     diagnoses,
@@ -28,11 +36,10 @@ from asia.agents.expert.diagnosis import (
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
 from asia.agents.library.family import Family, is_new, under_protocol
-from asia.agents.library.move import Move, Situation, plain_title, title_of
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
-from asia.agents.library.traits import names_places, traits
-from asia.agents.library.trial_evidence import overfit
+from asia.agents.library.traits import traits
 from asia.agents.view import (
     LINEAR,
     AgentStoppedError,
@@ -42,22 +49,16 @@ from asia.agents.view import (
     Trial,
 )
 
-SURE = 0.9
-BEHIND = 0.5
-UNTRIED = 0.3
-# The same while nothing beats the mean.
-UNTRIED_LOST = 0.6
-# Families of what the user gave, equations and a simulator; above the weight of any move.
-GIVEN, GIVEN_WEIGHT = frozenset({"greybox", "physics_net", "simulator"}), 2.0
+GIVEN = frozenset({"greybox", "physics_net", "simulator"})
+"""Families of what the user gave, equations and a simulator."""
+INTERRUPTS = 1 / 3
+"""Share of the residual that an effect must explain to come before the next family."""
+SHARES = {SHOWN: 1.0, LIKELY: 0.2, POSSIBLE: 0.0}
+"""Share of the residual that an effect counts for by its evidence alone, without a diagnosis."""
+PATIENCE = 2
+"""Effects in a row without a gain after which another family is tried."""
 NEAR = 0.25
-NEAR_EQUATIONS = 0.6
-PROMISING = 0.75
-PATIENCE = 0.85
-# Weight of block-oriented models, over that of other untried families, where the residual depends
-# on the amplitude.
-STATIC = 1.5
-# A first fit that takes so many times the median of the others, and seconds, waits for cheap ones.
-SLOW, SLOW_SECONDS = 4.0, 30.0
+"""V of the best candidate over that of equations, down to which terms are added to them."""
 # Functions of a sensor that lose the sign of the output.
 _WITHOUT_SIGN = frozenset({"magnitude", "square"})
 # Settings that need one sampling time.
@@ -70,31 +71,30 @@ class Option:
     """Something to try."""
 
     family: str
-    weight: float
     make: Callable[[], Proposal | None]
     """The proposal; None when it was tried before."""
     seconds: float
     """Expected duration of its fit."""
+    share: float = 0.0
+    """Share of the residual of the best candidate that it is known to explain."""
     apt: bool = True
     """Whether it is worth a place in the ladder."""
-    sure: bool = False
-    """Whether it is near certain, so that it interrupts the ladder."""
     move: str = ""
     """The name of the move; "" for the first configuration of a family."""
 
 
 class ExpertAgent:
-    """Agent with a ladder of families, then refinement by moves chosen from training-side evidence.
+    """Agent with a ladder of families and forward selection of effects.
 
-    Running experiments count as tried, and their moves as unsuccessful so far.
+    Running experiments count as tried, and their effects as without a gain so far.
     """
 
     name = "expert"
     proposes_ahead = True
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """Propose the candidate of a note, the next family of the ladder, or the move with the most
-        weight; None when all are known.
+        """Propose the candidate of a note, the next family of the ladder, or the next effect; None
+        when all are known.
 
         Raises:
             AgentStoppedError: where the noise floor is reached
@@ -118,7 +118,7 @@ class ExpertAgent:
             end = reason_to_end(view)
             if end is not None:
                 raise AgentStoppedError("saturated", end)
-            proposal = self._best_of(view, unwanted)
+            proposal = _next(view, unwanted)
             if beats_nothing(view):
                 remarks.append(why_nothing_helps(view))
                 if proposal is None:
@@ -135,82 +135,36 @@ class ExpertAgent:
         hypothesis = " ".join((proposal.hypothesis, *new))
         return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks), fair=True)
 
-    def _best_of(self, view: AgentView, unwanted: set[str]) -> Proposal | None:
-        moves, ladder = (
-            [option for option in found if not {option.family, option.move} & unwanted]
-            for found in (refinements(view), untried(view))
-        )
-        # Expected seconds of a fit, mean of the trials so far; not measured.
-        recipes = (read_recipe(trial.source) for trial in view.trials)
-        known = ((r, family(r.family)) for r in recipes if r is not None)
-        seconds = [row.seconds(view.facts, recipe) for recipe, row in known if row is not None]
-        usual = max(SLOW_SECONDS, sum(seconds) / len(seconds) if seconds else 0.0)
 
-        def paced(options: list[Option]) -> list[Option]:
-            """Reduce the weights by the square root of the excess over the usual fit time, where
-            fits are slow; experiments are limited too."""
-            return [
-                replace(o, weight=o.weight * min(1.0, 2.0 * usual / (usual + o.seconds)) ** 0.5)
-                for o in options
-            ]
-
-        proposal = None
-        if view.phase == "explore":
-            sure = [option for option in moves if option.sure]
-            apt = [option for option in ladder if option.apt]
-            proposal = _heaviest([*sure, *_cheap_first(apt)])
-        proposal = proposal or _heaviest(paced([*moves, *ladder]))
-        allocation = Allocation.of(view)
-        objection = allocation.objection(proposal.family) if proposal is not None else ""
-        if proposal is None or not objection:
-            return proposal
-        if allocation.waits(proposal.family):
-            # New families in the order of their aptness, those that take far longer last.
-            options, place = [*paced(moves), *_cheap_first(ladder)], allocation.chance
-        else:
-            options, place = paced([*moves, *ladder]), None
-        other = _heaviest([o for o in options if not allocation.objection(o.family)], place)
-        if other is None:
-            return proposal
-        return replace(other, hypothesis=f"{other.hypothesis} {objection}")
+def _next(view: AgentView, unwanted: set[str]) -> Proposal | None:
+    found, new = (
+        [option for option in options if not {option.family, option.move} & unwanted]
+        for options in (effects(view), untried(view))
+    )
+    given = [option for option in new if option.family in GIVEN]
+    shown = [option for option in found if option.share >= INTERRUPTS]
+    likely = [option for option in found if option.share > 0.0]
+    ladder = [option for option in new if option.apt]
+    waiting = view.phase == "explore" or _idle(view) >= PATIENCE
+    turns = *given, *shown, *(ladder if waiting else ()), *likely, *ladder, *found, *new
+    return _first_new(turns)
 
 
-def _heaviest(options: list[Option], place: Callable[[str], int] | None = None) -> Proposal | None:
-    """The first in order of weight that was not tried before.
-
-    Args:
-        place: of a family, which comes before the weight
-    """
-    ordered = sorted(options, key=lambda o: (place(o.family) if place else 0, -o.weight))
-    return next((p for option in ordered if (p := option.make()) is not None), None)
-
-
-def _cheap_first(ladder: list[Option]) -> list[Option]:
-    """Reduce the weights of families whose first fits take far longer than those of the others."""
-    usual = median([option.seconds for option in ladder]) if ladder else 0.0
-    limit = max(SLOW_SECONDS, SLOW * usual)
-    return [replace(o, weight=0.5 * o.weight) if o.seconds > limit else o for o in ladder]
+def _first_new(options: Iterable[Option]) -> Proposal | None:
+    """The first that was not tried before."""
+    return next((p for option in options if (p := option.make()) is not None), None)
 
 
 def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
-    used, lost = {t.family for t in view.proposed}, beats_nothing(view)
-    static = any(name == "amplitude" for name, _ in diagnoses(view))
-    static = static and set(places(view.facts)) != {DYNAMICS} and not names_places(view.facts)
-    maps = dict(leading_maps(view))
+    used, maps = {t.family for t in view.proposed}, dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:
             continue
-        weight = UNTRIED_LOST if lost else UNTRIED
-        if row.name in GIVEN:
-            weight = GIVEN_WEIGHT
-        if static and row.name == "block_oriented" and not maps:
-            weight *= STATIC
-        apt = row.aptness(view.facts) > 0
         kept = {k: kind for k, kind in maps.items() if not row.has_static or kind in _WITHOUT_SIGN}
         recipe = row.trial(view.facts).mapped(**kept)
-        seconds = row.seconds(view.facts, recipe)
-        yield Option(row.name, weight, partial(_first, view, row, recipe), seconds, apt)
+        seconds, apt = row.seconds(view.facts, recipe), row.aptness(view.facts) > 0
+        yield Option(row.name, partial(_first, view, row, recipe), seconds, apt=apt)
 
 
 def _first(
@@ -233,8 +187,7 @@ def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
     """A candidate that a note asks for: a family's first or its best move, or the effect on the
     best trial that can have it, then in a new family."""
     if wish.effect == "family":
-        found = [*refinements(view), *untried(view)]
-        return _heaviest([option for option in found if option.family == wish.name])
+        return _first_new(o for o in (*effects(view), *untried(view)) if o.family == wish.name)
     for at in situations(view):
         if at.row.name not in unwanted:
             made = (moved(at, move) for move in wished_moves(wish, at, all_moves()))
@@ -250,31 +203,34 @@ def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
     return None
 
 
-def refinements(view: AgentView) -> Iterator[Option]:
-    """Every applicable move on the best trial of each family, on the last one of a family that
-    only failed. A move that was made before and did not help counts less. A family that the
-    records speak against is refined only while it leads; while nothing beats the mean, moves that
-    vary a model are not made."""
+def effects(view: AgentView) -> Iterator[Option]:
+    """Effects that may be added to the best candidate of each family, in the order in which they
+    are tried: those that the records show, those on candidates that are carried on, the others.
+    While nothing beats the mean, none that varies a model."""
     lost, answer = beats_nothing(view), answers(view)
+    kept = {at.row.name for at in carried(view)}
+    ranked: list[tuple[tuple[float, ...], Option]] = []
     for at in situations(view):
-        if at.place > 0 and at.row.doubtful(view.facts):
-            continue
-        share = _share(at)
         for move in all_moves():
-            if not move.applies(at) or (lost and not keeps_course(move)):
+            evidence = int(move.evidence(at)) if move.applies(at) else 0
+            behind = at.row.name not in kept and evidence < SHOWN
+            if (lost and not keeps_course(move)) or (behind and at.row.doubtful(view.facts)):
                 continue
-            weight = move.weight(at) * (share if move.behind_counts else 1.0)
-            if weight > 0 and _is_close(at):
-                weight = max(weight, answer.get(move.name, 0.0) * (1.0 if at.place == 0 else share))
-            if weight > 0:
-                title = move.title(at)
-                made = [t for t in view.proposed if plain_title(t.title) == title]
-                weight *= move.fade ** sum(isinstance(t, Running) or not t.improved for t in made)
-                sure = weight >= SURE
-                recipe = at.recipe if move.same_effort else move.change(at)
-                seconds = at.row.seconds(at.facts, recipe)
-                make = partial(moved, at, move)
-                yield Option(at.row.name, weight, make, seconds, sure=sure, move=move.name)
+            if not evidence:
+                continue
+            title = move.title(at)
+            tries = sum(_without_gain(t) for t in view.proposed if plain_title(t.title) == title)
+            share = max(SHARES[evidence], answer.get(move.name, 0.0)) if not behind else 0.0
+            order = list(answer).index(move.name) if move.name in answer else len(answer)
+            option = Option(
+                at.row.name,
+                partial(moved, at, move),
+                at.row.seconds(at.facts, move.change(at)),
+                share / (1 + tries),
+                move=move.name,
+            )
+            ranked.append(((behind, tries, -share, order, at.place), option))
+    yield from (option for _, option in sorted(ranked, key=lambda one: one[0]))
 
 
 def moved(at: Situation, move: Move) -> Proposal | None:
@@ -316,42 +272,44 @@ def situations(view: AgentView) -> Iterator[Situation]:
     for place, (trial, recipe) in enumerate(chosen.values()):
         row = family(recipe.family)
         if row is not None:
-            yield Situation(view, trial, recipe, row, place, len(chosen))
+            yield Situation(view, trial, recipe, row, place)
 
 
-def _share(at: Situation) -> float:
-    """Return the share of a family in the search: 1 for the leading family, less for one that is
-    behind.
-
-    A grey-box within a factor of four of a leader without equations counts as leading: its missing
-    terms can still be added. A model that overfits its own fold only needs regularisation, and
-    keeps most of its weight while it is not too far behind; against a leader with equations that is
-    seldom enough. In both cases each unsuccessful move reduces the share.
-    """
-    trial, best, train = at.trial, at.view.best, at.trial.train_error
-    if at.place == 0 or best is None or best.value is None:
-        return 1.0
-    if trial.value is None or train is None:
-        return BEHIND
-    ratio = best.value / trial.value
-    leader = family(best.family)
-    black_box = leader is None or "physics" not in leader.needs
-    if at.row.extendable and ratio > NEAR and black_box:
-        return 1.0
-    own = (t for t in at.view.trials if t.family == at.recipe.family)
-    patience = PATIENCE ** sum(t.parent is not None and not t.improved for t in own)
-    share = BEHIND * ratio**2
-    near = NEAR if black_box else NEAR_EQUATIONS
-    held_back = ratio > near and train < best.value and overfit(trial) > 2.0
-    return patience * (max(share, PROMISING) if held_back else share)
+def carried(view: AgentView) -> Iterable[Situation]:
+    """The best candidate, that of one other family within one standard error, that of equations to
+    which terms can still be added, and families that only failed."""
+    best, other = view.best, False
+    for at in situations(view):
+        if at.trial.value is None or best is None:
+            yield at
+            continue
+        doubtful = at.place > 0 and at.row.doubtful(view.facts)
+        close = not other and _within_error(best, at.trial)
+        leader = family(best.family)
+        black_box = leader is None or leader.kind != "equations"
+        assert best.value is not None
+        growing = at.row.extendable and black_box and best.value > NEAR * at.trial.value
+        if at.place == 0 or beats_nothing(view) or ((close or growing) and not doubtful):
+            other |= at.place > 0 and not growing
+            yield at
 
 
-def _is_close(at: Situation) -> bool:
-    """Return whether V of the family is within 1.5 times the best one."""
-    best, value = at.view.best, at.trial.value
-    if best is None or best.value is None or value is None:
+def _within_error(best: Trial, trial: Trial) -> bool:
+    """Whether V is above the best by no more than the standard error over the folds."""
+    behind = [b - a for a, b in zip(best.folds, trial.folds, strict=False)]
+    if len(behind) < 2:
         return False
-    return value <= CLOSE * best.value
+    return fmean(behind) <= stdev(behind) / sqrt(len(behind))
+
+
+def _without_gain(one: Trial | Running) -> bool:
+    return isinstance(one, Running) or not one.improved
+
+
+def _idle(view: AgentView) -> int:
+    """Effects in a row, up to now, that did not help."""
+    last = takewhile(lambda one: one.parent is not None and _without_gain(one), view.proposed[::-1])
+    return sum(1 for _ in last)
 
 
 def _sentence(text: str) -> str:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from math import ceil, log
 from statistics import NormalDist
 
-from asia.agents.library.methods import by_multiple_shooting
-from asia.agents.library.move import Move, Situation, plain_title
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title
 from asia.agents.library.recipe import Arguments, Recipe, read_recipe
-from asia.agents.library.traits import names_places, periodic, sign_lost
+from asia.agents.library.traits import periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
 from asia.data.statistics import Relation, integrating, noise_of_periods, relation
@@ -18,7 +17,6 @@ from asia.data.statistics import Relation, integrating, noise_of_periods, relati
 
 # The greatest delay that families look for by themselves.
 _DELAY_TRIED = 10
-_MOST_STARTS = 8
 
 
 def beats_nothing(view: AgentView) -> bool:
@@ -89,11 +87,11 @@ def _windows(facts: Facts, found: Relation) -> str:
     )
 
 
-def _late_weight(at: Situation) -> float:
-    """Near certain: without the delay a model sees only inputs that do not act yet."""
+def _late(at: Situation) -> int:
+    """Shown: without the delay a model sees only inputs that do not act yet."""
     late = relation(at.facts.records).delay
     there = at.recipe.number("delay", 0) >= late - 1
-    return 0.93 * (at.recipe.has("delay") and late > _DELAY_TRIED and not there)
+    return SHOWN * (at.recipe.has("delay") and late > _DELAY_TRIED and not there)
 
 
 def _stuck(at: Situation) -> bool:
@@ -105,40 +103,38 @@ def _in_pieces(at: Situation) -> Recipe:
     return recipe.configured(past_fit=True) if at.varies("past_fit") else recipe
 
 
-def _integrator_weight(at: Situation) -> float:
+def _integrator(at: Situation) -> int:
     free = at.varies("integrators") and not at.recipe.number("integrators", 0)
     free = free and not (at.recipe.get("regularised") or at.recipe.get("loop"))
     if not (_stuck(at) and free) or at.facts.horizon is not None:
-        return 0.0
+        return 0
     found = relation(at.facts.records)
-    # A mode that hardly comes back, or less likely any other.
-    return 0.85 if found.pole > 0.97 and not found.unstable else 0.3
+    # A mode that hardly comes back.
+    return LIKELY if found.pole > 0.97 and not found.unstable else POSSIBLE
 
 
 COURSE_MOVES: tuple[Move, ...] = (
     Move(
         name="inputs that act after {state} samples",
         state=lambda c: str(relation(c.facts.records).delay),
-        weight=_late_weight,
+        evidence=_late,
         change=lambda c: c.recipe.configured(delay=relation(c.facts.records).delay - 1),
         hypothesis="The innovations of the outputs correlate with those of the inputs at this "
         "delay, which is longer than a model detects automatically.",
         expected="A far lower V.",
-        behind_counts=False,
     ),
     Move(
         name="a free integrator",
-        weight=_integrator_weight,
+        evidence=_integrator,
         change=lambda c: c.recipe.configured(integrators=1),
         hypothesis="No model beats the mean: the output may integrate its inputs, which stable "
         "modes cannot follow.",
         expected="A V below that of the mean, if the output drifts with the sum of the inputs.",
-        behind_counts=False,
     ),
     Move(
         name="from short pieces",
-        weight=lambda c: (
-            0.8
+        evidence=lambda c: (
+            LIKELY
             * (_stuck(c) and c.varies("pieces"))
             * (c.facts.horizon is None and not c.recipe.get("pieces"))
         ),
@@ -146,36 +142,6 @@ COURSE_MOVES: tuple[Move, ...] = (
         hypothesis="No model beats the mean: whole records may be too long for training. Short "
         "segments, each with its own initial state, are easier to fit.",
         expected="A lower training error, V follows.",
-        behind_counts=False,
-    ),
-    Move(
-        name="many other starts",
-        weight=lambda c: 0.45 * (_stuck(c) and 0 < c.recipe.number("starts", 0) < _MOST_STARTS),
-        change=lambda c: c.recipe.trained(starts=_MOST_STARTS),
-        hypothesis="No model beats the mean: all fits so far may be in poor local minima.",
-        expected="A far lower training error, or evidence that local minima are not the cause.",
-        behind_counts=False,
-    ),
-    Move(
-        name="from a random start",
-        weight=lambda c: (
-            0.4 * (_stuck(c) and c.varies("start") and c.recipe.get("start") != "random")
-        ),
-        change=lambda c: c.recipe.configured(start="random"),
-        hypothesis="No model beats the mean, and the linear model is a poor starting point.",
-        expected="A different minimum.",
-        behind_counts=False,
-    ),
-    Move(
-        name="by multiple shooting from measured states",
-        weight=lambda c: (
-            0.35
-            * (_stuck(c) and c.recipe.method == "Adam" and by_multiple_shooting in c.row.methods)
-        ),
-        change=lambda c: by_multiple_shooting(c.facts, c.recipe),
-        hypothesis="No model beats the mean: gradients through long simulations may be the cause.",
-        expected="Lower training error where whole simulations are hard to fit.",
-        behind_counts=False,
     ),
 )
 
@@ -233,14 +199,8 @@ _PLACES: dict[str, str] = {
 }
 # Share of a linear model's residual from which a term counts, and its share of the largest one.
 _LEAST_TERM, _LIKELY = 0.15, 0.7
-# Share of the residual below which a diagnosis waits for the usual weights, and the weights of an
-# answer without and with the whole residual.
+# Share of the residual from which a diagnosis counts.
 _LEAST_SHARE = 0.1
-_ANSWER = (0.85, 1.0)
-_NEXT = 0.97
-# Largest weight of static functions where the problem names the places of unknown effects, which
-# come first.
-_AFTER_CORRECTIONS = 0.89
 # V with static functions, over the least V without any, up to which other families start with them.
 _LEADING = 0.6
 
@@ -270,8 +230,9 @@ def places(facts: Facts) -> dict[str, float]:
 
 
 def answers(view: AgentView) -> dict[str, float]:
-    """Weights of the moves that answer the strongest diagnosis that has an answer left; moves made
-    on the best trial, or a trial like it, count as answers that did not help."""
+    """Moves that answer the strongest diagnosis that has an answer left, the likeliest first, with
+    the share of the residual that it explains; moves made on the best trial, or a trial like it,
+    count as answers that did not help."""
     best = view.best
     for name, share in diagnoses(view):
         made = {
@@ -287,11 +248,7 @@ def answers(view: AgentView) -> dict[str, float]:
             # Without a likely place one answer that did not help is enough.
             left = left if likely or len(left) == len(ANSWERS[name]) else []
         if left:
-            low, high = _ANSWER
-            weight = low + (high - low) * min(1.0, share)
-            if name == "amplitude" and names_places(view.facts):
-                weight = min(weight, _AFTER_CORRECTIONS)
-            return {move: weight * _NEXT**place for place, move in enumerate(left)}
+            return dict.fromkeys(left, min(1.0, share))
     return {}
 
 

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Literal
 
 from asia.agents.library.family import Family
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import SHOWN, Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.registry import all_families, family
 from asia.agents.view import AgentView
@@ -127,7 +127,7 @@ def wished_moves(wish: Wish, at: Situation, moves: Sequence[Move]) -> list[Move]
         return []
 
     def is_worth_making(move: Move) -> bool:
-        if move.weight(at) > 0:
+        if move.evidence(at):
             return True
         # The note replaces the evidence that a move to friction requires.
         lacks = wish.effect == "friction" and not at.recipe.get("friction")
@@ -185,7 +185,7 @@ def _family_patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
 def _delay_move(samples: int, setting: str, value: float) -> Move:
     return Move(
         name=f"a delay of {samples} samples",
-        weight=lambda _: 1.0,
+        evidence=lambda _: SHOWN,
         change=lambda c: c.recipe.configured(**{setting: value}),
         hypothesis=f"The inputs act after {samples} samples.",
         expected="A lower V if the delay is right.",

@@ -3,16 +3,13 @@
 from collections.abc import Callable
 
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation
 from asia.agents.library.recipe import Recipe, Value
 from asia.agents.library.trial_evidence import (
-    biased,
     coloured,
     curved,
     fails_on_top,
-    folds_disagree,
     input_left,
-    overfit,
 )
 from asia.agents.view import Facts
 from asia.data.statistics import Cause, switching
@@ -31,17 +28,14 @@ def output_offsets(facts: Facts) -> tuple[str, ...]:
     return tuple(s.name for s in facts.outputs if s.name not in states)
 
 
-def _noise_weight(at: Situation) -> float:
-    """Return the weight where the equations explain nearly all: before that the residual contains
-    missing dynamics."""
+def _noise(at: Situation) -> int:
+    """Shown where the equations explain nearly all: before that the residual contains missing
+    dynamics."""
     if at.recipe.get("noise_model") == "slow" or at.recipe.method != LM:
-        return 0.0
-    if at.facts.horizon is not None:
-        return 0.2
-    if not coloured(at.trial):
-        return 0.1
+        return 0
     # Of the output's deviation: an error below it is near what a disturbance may explain.
-    return 0.93 if (at.trial.train_error or 1.0) < 0.15 else 0.3
+    near = (at.trial.train_error or 1.0) < 0.15
+    return SHOWN if at.facts.horizon is None and coloured(at.trial) and near else POSSIBLE
 
 
 def _with_power_sensor(at: Situation) -> Recipe:
@@ -51,12 +45,10 @@ def _with_power_sensor(at: Situation) -> Recipe:
     return at.recipe.without("offset").configured(sensor="power", **offsets)
 
 
-def _sensor_weight(at: Situation) -> float:
+def _sensor(at: Situation) -> int:
     if at.recipe.get("sensor") or at.facts.horizon is not None:
-        return 0.0
-    if curved(at.trial) or fails_on_top(at.trial):
-        return 0.91
-    return 0.65 if biased(at.trial) or coloured(at.trial) else 0.2
+        return 0
+    return SHOWN if curved(at.trial) or fails_on_top(at.trial) else POSSIBLE
 
 
 def _read_by_others(at: Situation) -> tuple[str, ...]:
@@ -88,37 +80,35 @@ def velocities(at: Situation) -> tuple[str, ...]:
     return rates or tuple(state for state in physics.states if state in shown)
 
 
-def _switching_weight(at: Situation, setting: str, causes: tuple[Cause, ...]) -> float:
-    """Near certain where the records show it."""
+def _switching(at: Situation, setting: str, causes: tuple[Cause, ...]) -> int:
     found = switching(at.facts.records)
     if not found.found or found.cause not in causes or at.recipe.get(setting):
-        return 0.0
-    return 0.92 if coloured(at.trial) else 0.6
+        return 0
+    return SHOWN if coloured(at.trial) else POSSIBLE
 
 
 def _turning_input(at: Situation) -> str:
     return at.facts.inputs[switching(at.facts.records).signal].name
 
 
-def _terms_weight(at: Situation) -> float:
-    """Return the weight after the terms that the records show."""
+def _terms(at: Situation) -> int:
     if at.recipe.get("discover") or at.recipe.get("residual") or at.recipe.method != LM:
-        return 0.0
-    return 0.74 if coloured(at.trial) else 0.15
+        return 0
+    return LIKELY if coloured(at.trial) else POSSIBLE
 
 
 def _addition(
     name: str,
     setting: str,
     names: Callable[[Situation], tuple[str, ...]],
-    weight: Callable[[Situation], float],
+    evidence: Callable[[Situation], int],
     hypothesis: str,
     expected: str,
 ) -> Move:
     """Make the move that puts the next of the names into the setting, of whole records.
 
     Args:
-        weight: weight while there is such a name
+        evidence: evidence while there is such a name
     """
 
     def following(at: Situation) -> str:
@@ -126,21 +116,12 @@ def _addition(
 
     return Move(
         name=name,
-        weight=lambda c: weight(c) if c.facts.horizon is None and following(c) else 0.0,
+        evidence=lambda c: evidence(c) * (c.facts.horizon is None and bool(following(c))),
         change=lambda c: c.recipe.configured(**{setting: (*names_of(c, setting), following(c))}),
         state=following,
         hypothesis=hypothesis,
         expected=expected,
     )
-
-
-def _lag_weight(at: Situation, late: float, other: float) -> float:
-    return (late if input_left(at.trial) else other) * (0.5 if names_of(at, "lag") else 1.0)
-
-
-def _smooth_weight(at: Situation, weight: float) -> float:
-    """Return the weight after all known terms of the system are included."""
-    return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
 
 
 def _removal(what: str, *settings: str) -> Move:
@@ -150,14 +131,9 @@ def _removal(what: str, *settings: str) -> Move:
         settings: the addition, then settings that mean nothing without it
     """
 
-    def weight(at: Situation) -> float:
-        if not at.recipe.get(settings[0]):
-            return 0.0
-        return 0.55 if folds_disagree(at.trial) > 1.5 else 0.4 if overfit(at.trial) > 1.5 else 0.3
-
     return Move(
         name=f"without {what}",
-        weight=weight,
+        evidence=lambda c: bool(c.recipe.get(settings[0])),
         change=lambda c: c.recipe.without(*settings),
         hypothesis="The added term may overfit its fold: V does not rise without it if the effect "
         "is not real, or if a later addition is the true one.",
@@ -168,8 +144,8 @@ def _removal(what: str, *settings: str) -> Move:
 EQUATION_MOVES: tuple[Move, ...] = (
     Move(
         name="dry friction on {state}",
-        weight=lambda c: (
-            _switching_weight(c, "friction", ("velocity", "displacement")) * bool(velocities(c))
+        evidence=lambda c: (
+            _switching(c, "friction", ("velocity", "displacement")) * bool(velocities(c))
         ),
         change=lambda c: c.recipe.configured(friction=velocities(c)),
         state=lambda c: ", ".join(velocities(c)),
@@ -179,9 +155,9 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="friction with presliding on {state}",
-        weight=lambda c: (
-            0.7
-            * bool(c.recipe.get("friction") and not c.recipe.get("presliding"))
+        evidence=lambda c: (
+            LIKELY
+            * bool(c.recipe.get("friction") and (not c.recipe.get("presliding")))
             * (switching(c.facts.records).cause == "displacement")
         ),
         change=lambda c: c.recipe.configured(presliding=True),
@@ -192,9 +168,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="hysteresis on {state}",
-        weight=lambda c: (
-            0.97 * _switching_weight(c, "hysteresis", ("displacement",)) * bool(velocities(c))
-        ),
+        evidence=lambda c: _switching(c, "hysteresis", ("displacement",)) * bool(velocities(c)),
         change=lambda c: c.recipe.without("friction", "presliding").configured(
             hysteresis=velocities(c)
         ),
@@ -205,7 +179,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="play behind {state}",
-        weight=lambda c: _switching_weight(c, "play", ("input",)),
+        evidence=lambda c: _switching(c, "play", ("input",)),
         change=lambda c: c.recipe.configured(play=(_turning_input(c),)),
         state=lambda c: _turning_input(c),
         hypothesis="The residual of a one-step model depends on the last reversal of the input: "
@@ -214,9 +188,8 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="shorter steps of the integrator",
-        weight=lambda c: (
-            0.65
-            * any(c.recipe.get(force) for force in ("friction", "hysteresis", "play"))
+        evidence=lambda c: (
+            any(c.recipe.get(force) for force in ("friction", "hysteresis", "play"))
             * (c.recipe.number("substeps", 2) < 8)
         ),
         change=lambda c: c.recipe.configured(substeps=4 * round(c.recipe.number("substeps", 2))),
@@ -226,7 +199,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="terms that the equations lack",
-        weight=_terms_weight,
+        evidence=_terms,
         change=lambda c: c.recipe.configured(discover=c.states),
         hypothesis="The equations lack a term: a product of states and inputs, found from the "
         "sensitivity of the simulation error.",
@@ -234,7 +207,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="slow disturbance",
-        weight=_noise_weight,
+        evidence=_noise,
         # Priors need less weight under a noise model of the residual.
         change=lambda c: (
             c.recipe.without("robust")
@@ -248,7 +221,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="bent sensor",
-        weight=_sensor_weight,
+        evidence=_sensor,
         change=_with_power_sensor,
         hypothesis="The measured output is an increasing curve of the modelled one: errors at low "
         "and high outputs have the same sign.",
@@ -256,7 +229,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="sensor of any shape",
-        weight=lambda c: 0.7 * (c.recipe.get("sensor") == "power"),
+        evidence=lambda c: LIKELY * (c.recipe.get("sensor") == "power"),
         change=lambda c: c.recipe.configured(sensor="spline"),
         hypothesis="A bent sensor helped; a power law may not be its curve.",
         expected="Lower error where the power law was off, on every fold.",
@@ -265,7 +238,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
         "{state} acts late",
         "lag",
         _read_by_others,
-        lambda c: _lag_weight(c, 0.8, 0.62),
+        lambda c: LIKELY if input_left(c.trial) and not names_of(c, "lag") else POSSIBLE,
         "The effect of one state on the next is delayed: the record reverses later than the "
         "simulation.",
         "Lower error at turning points; the input explains less of the residual.",
@@ -274,7 +247,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
         "{state} follows its command late",
         "lag",
         _inputs,
-        lambda c: _lag_weight(c, 0.6, 0.35),
+        lambda _: POSSIBLE,
         "An actuator follows its command with a lag of its own.",
         "The input no longer explains the residual.",
     ),
@@ -282,7 +255,7 @@ EQUATION_MOVES: tuple[Move, ...] = (
         "smooth correction of {state}",
         "smooth",
         lambda c: c.states[::-1],
-        lambda c: _smooth_weight(c, 0.64),
+        lambda _: POSSIBLE,
         "The law of a state is nearly right: a smooth factor, kept near 1 by its prior, corrects "
         "it.",
         "Lower error at the levels where the law is wrong.",
@@ -291,14 +264,14 @@ EQUATION_MOVES: tuple[Move, ...] = (
         "smooth correction of {state}, an input",
         "smooth",
         _inputs,
-        lambda c: _smooth_weight(c, 0.45),
+        lambda _: POSSIBLE,
         "An actuator is slightly nonlinear: a smooth factor models its curve.",
         "Lower error at the commands where the linear model is wrong.",
     ),
     Move(
         name="wider smooth corrections",
-        weight=lambda c: (
-            0.6 * bool(names_of(c, "smooth")) * (c.recipe.number("smooth_width", 0.05) < 0.3)
+        evidence=lambda c: (
+            bool(names_of(c, "smooth")) * (c.recipe.number("smooth_width", 0.05) < 0.3)
         ),
         change=lambda c: c.recipe.times("smooth_width", 3.0, 0.05),
         hypothesis="Smooth corrections helped, and their prior may be too strong.",

@@ -70,6 +70,21 @@ def steps(facts: Facts, cost: SampleCost, stage: Stage) -> int:
     return int(float(f"{max(FEWEST_STEPS, min(most, round(found))):.2g}"))
 
 
+@dataclass(frozen=True)
+class Path:
+    """Values of a setting from stiff to free. Where a recipe leaves it open, a search chooses, see
+    `asia.search.fair_trial`."""
+
+    name: str
+    values: tuple[float, ...]
+    needs: str = ""
+    """Setting without which it means nothing."""
+
+    def is_open(self, recipe: Recipe) -> bool:
+        """Return whether the recipe leaves the setting open."""
+        return not recipe.has(self.name) and bool(not self.needs or recipe.get(self.needs))
+
+
 Kind = Literal["equations", "classical", "network"]
 _KINDS: tuple[Kind, ...] = ("equations", "classical", "network")
 
@@ -93,10 +108,9 @@ class Family:
     """Settings of the first configuration that make it fit in seconds, for tests."""
     timing: Timing = field(default_factory=Timing)
     """Cost of a fit; the default is for a family without measured costs."""
-    path: tuple[str, tuple[float, ...]] | None = None
-    """Setting of the model that decides how far it may go from its start, and its values from
-    stiff to free: where a recipe leaves it open, a search chooses, see `asia.search.fair_trial`.
-    None for a family without."""
+    path: Path | None = None
+    """Setting of the model that decides how far it may go from its start; None for a family
+    without."""
     longer: Callable[[Facts], Recipe] | None = None
     """The first configuration with a long fit; None where the first fit is cheap anyway."""
     points: tuple[tuple[Trait, float], ...] = ()

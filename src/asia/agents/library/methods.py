@@ -1,7 +1,7 @@
 """Training methods: suitable settings of each for a problem, and their search spaces."""
 
 from asia.agents.library.family import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Span
 from asia.agents.library.traits import traits
@@ -10,13 +10,13 @@ from asia.agents.view import Facts
 from asia.data.statistics import integrating
 
 LM = "LevenbergMarquardt"
-LARGE_BATCH = 384
+_LARGE_BATCH = 384
 # So many samples are too many for batches of 128 to give a quiet gradient.
-MANY_SAMPLES = 20_000
+_MANY_SAMPLES = 20_000
 # Samples at the start of a simulation that a wrong initial state may spoil.
-TRANSIENT = 20
+_TRANSIENT = 20
 # Windows at least so long are worth a loss at several horizons.
-LEAST_HORIZON = 10
+_LEAST_HORIZON = 10
 
 
 def adam(facts: Facts, cost: SampleCost, stage: Stage, learning_rate: float) -> Arguments:
@@ -57,13 +57,13 @@ def adam_space(facts: Facts, needs: str = "") -> tuple[Parameter, ...]:
     found.extend(noise_space(facts, with_loss=True))
     if facts.early_stopping == "inner":
         found.append(OneOf("holdout", (0.0, 0.2), needs=needs))
-    if facts.fit_samples > MANY_SAMPLES:
-        found.append(OneOf("batch", (None, LARGE_BATCH), needs=needs))
+    if facts.fit_samples > _MANY_SAMPLES:
+        found.append(OneOf("batch", (None, _LARGE_BATCH), needs=needs))
     if facts.horizon is None:
         found.append(OneOf("truncation", (64, 128, 256), needs=needs))
         found.append(OneOf("carry", (False, True), needs="truncation"))
-        found.append(OneOf("washout", (0, TRANSIENT), needs=needs))
-    elif facts.horizon >= LEAST_HORIZON:
+        found.append(OneOf("washout", (0, _TRANSIENT), needs=needs))
+    elif facts.horizon >= _LEAST_HORIZON:
         found.append(OneOf("horizons", (None, several_horizons(facts)), needs=needs))
     return tuple(found)
 
@@ -125,7 +125,7 @@ def integrator_moves() -> tuple[Move, ...]:
     return (
         Move(
             name="one free integrator more",
-            weight=lambda c: 0.5 * (0 < c.recipe.number("integrators", 0) < 2) * coloured(c.trial),
+            evidence=lambda c: (0 < c.recipe.number("integrators", 0) < 2) * coloured(c.trial),
             change=lambda c: c.recipe.configured(
                 integrators=round(c.recipe.number("integrators", 0)) + 1
             ),
@@ -135,7 +135,7 @@ def integrator_moves() -> tuple[Move, ...]:
         ),
         Move(
             name="without a free integrator",
-            weight=lambda c: 0.5 * (c.recipe.number("integrators", 0) > 0),
+            evidence=lambda c: c.recipe.number("integrators", 0) > 0,
             change=lambda c: c.recipe.without("integrators"),
             hypothesis="The free integrator may be a slow stable mode.",
             expected="A lower V if it does.",
@@ -143,23 +143,21 @@ def integrator_moves() -> tuple[Move, ...]:
     )
 
 
-def from_pieces(likely: float, unlikely: float, **also: bool) -> Move:
+def from_pieces(**also: bool) -> Move:
     """Make the move to fit state-space models first to segments of the records.
 
     Args:
-        likely: weight where the residual is coloured
-        unlikely: weight where it is white
         also: further settings
     """
 
-    def weight(at: Situation) -> float:
+    def evidence(at: Situation) -> int:
         if at.facts.horizon is not None or at.recipe.get("pieces"):
-            return 0.0
-        return likely if coloured(at.trial) else unlikely
+            return 0
+        return LIKELY if coloured(at.trial) else POSSIBLE
 
     return Move(
         name="fit from pieces",
-        weight=weight,
+        evidence=evidence,
         change=lambda c: c.recipe.configured(pieces=True, **also),
         hypothesis="The residual is coloured and the fit may be in a local minimum: short segments "
         "of the records, each with its own initial state, have fewer.",
@@ -170,15 +168,15 @@ def from_pieces(likely: float, unlikely: float, **also: bool) -> Move:
 def slow_noise() -> Move:
     """Generalised least squares in place of least squares."""
 
-    def weight(at: Situation) -> float:
+    def evidence(at: Situation) -> int:
         squared = at.recipe.get("loss") in (None, "mse")
         if has_noise_model(at.recipe) or not at.varies("noise_model") or not squared:
-            return 0.0
-        return 0.7 if coloured(at.trial) else 0.15
+            return 0
+        return LIKELY if coloured(at.trial) else POSSIBLE
 
     return Move(
         name="slow disturbance in the noise",
-        weight=weight,
+        evidence=evidence,
         change=lambda c: c.recipe.trained(noise_model="slow"),
         hypothesis="The training residual is not white: the output contains a slow unmeasured "
         "disturbance, which biases a least-squares fit. Generalised least squares avoids this "

@@ -9,6 +9,10 @@ from asia.agents.library.family import Family
 from asia.agents.library.recipe import Recipe
 from asia.agents.view import AgentView, Facts, Trial
 
+POSSIBLE, LIKELY, SHOWN = 1, 2, 3
+"""What is known of an effect before it is tried: it can be added to the model; the residual, or the
+form of the model, points at it; the records show it."""
+
 
 @dataclass(frozen=True)
 class Situation:
@@ -23,8 +27,6 @@ class Situation:
     """The family of that trial."""
     place: int
     """The place of the family among those tried; 0 leads."""
-    families: int
-    """The number of families tried."""
 
     @property
     def facts(self) -> Facts:
@@ -43,12 +45,12 @@ class Situation:
 
 @dataclass(frozen=True)
 class Move:
-    """A change of one kind, with the reasons that are recorded before the outcome is known."""
+    """A change of one kind: the effect that it adds, and why."""
 
     name: str
     """Title of the change. `{state}` in it is the state that the move acts on."""
-    weight: Callable[[Situation], float]
-    """Weight of the move; 0 where it does not apply, 0.9 and more where it is near certain."""
+    evidence: Callable[[Situation], int]
+    """POSSIBLE, LIKELY, SHOWN, or 0 where it does not apply."""
     change: Callable[[Situation], Recipe]
     hypothesis: str
     """Reason why it should help."""
@@ -60,12 +62,6 @@ class Move:
     """The state for the name."""
     after: Literal["score", "failure"] = "score"
     """Made on the best trial of a family, or on one of a family that only failed."""
-    behind_counts: bool = True
-    """Whether the weight shrinks with the distance to the leading family."""
-    same_effort: bool = False
-    """Whether a fit takes as long as that of the trial, whatever is changed."""
-    fade: float = 0.4
-    """Factor of the weight after each time that the move did not help."""
 
     def applies(self, at: Situation) -> bool:
         """Return whether the family and the outcome are of the move's kind."""

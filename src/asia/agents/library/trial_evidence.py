@@ -19,12 +19,6 @@ def overfit(trial: Trial) -> float:
     return trial.value / train
 
 
-def by_overfit(trial: Trial, far: float, some: float, none: float) -> float:
-    """A weight by how far V is above the training error."""
-    ratio = overfit(trial)
-    return far if ratio > 2.0 else some if ratio > 1.3 else none
-
-
 def coloured(trial: Trial) -> bool:
     """The residual is far from white: dynamics are missing."""
     return worst(trial, lambda d: d.whiteness) > 0.5
@@ -48,11 +42,3 @@ def input_left(trial: Trial) -> bool:
 def curved(trial: Trial) -> bool:
     """The residual goes with the square of the output: a static nonlinearity is missing."""
     return worst(trial, lambda d: d.curvature) > 0.25
-
-
-def folds_disagree(trial: Trial) -> float:
-    """Return the largest over the smallest V of the folds: far above 1 the training parts differ in
-    information."""
-    if not trial.folds or min(trial.folds) <= 0:
-        return 1.0
-    return max(trial.folds) / min(trial.folds)

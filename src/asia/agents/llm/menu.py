@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from asia._text import one_line
-from asia.agents.expert.agent import Option, refinements, untried
+from asia.agents.expert.agent import Option, effects, untried
 from asia.agents.library.move import plain_title
 from asia.agents.library.recipe import Recipe, Value, read_recipe
 from asia.agents.library.registry import family
@@ -99,10 +99,9 @@ class Offer:
 
 
 def menu(view: AgentView) -> tuple[Offer, ...]:
-    """Return at most eight candidates that were not tried: the expert's moves with the most weight,
-    and new families, the most apt first. New families lead in the explore phase."""
-    moves = sorted(refinements(view), key=lambda option: -option.weight)
-    groups = [list(islice(_offers(view, group), _MOST)) for group in (moves, untried(view))]
+    """Return at most eight candidates that were not tried: effects in the order in which the expert
+    tries them, and new families, the most apt first. New families lead in the explore phase."""
+    groups = [list(islice(_offers(view, group), _MOST)) for group in (effects(view), untried(view))]
     first, second = groups if view.phase == "refine" else reversed(groups)
     first = first[: max(_MOST // 2, _MOST - len(second))]
     return (*first, *second[: _MOST - len(first)])

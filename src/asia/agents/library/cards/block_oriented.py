@@ -1,8 +1,8 @@
 """Linear systems in series with static functions."""
 
-from asia.agents.library.family import Family, Timing
+from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
-from asia.agents.library.move import Card, Move
+from asia.agents.library.move import LIKELY, Card, Move
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import traits
@@ -43,7 +43,7 @@ def _space(facts: Facts) -> Space:
 def _to(structure: str, where: str, hypothesis: str) -> Move:
     return Move(
         name=f"static function {where} the system",
-        weight=lambda c: 0.0 if c.recipe.get("structure") == structure else 0.45,
+        evidence=lambda c: c.recipe.get("structure") != structure,
         change=lambda c: c.recipe.without("searched", "linear_ridge").configured(
             structure=structure
         ),
@@ -65,16 +65,15 @@ CARD = Card(
             start=_start,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
-            path=("ridge", (1e-1, 1e-3, 1e-5)),
+            path=Path("ridge", (1e-1, 1e-3, 1e-5)),
             timing=Timing(start=1.9, unit=4.1e-06),
         ),
     ),
     (
-        slow_noise(),
         Move(
             name="search for the two filters",
-            weight=lambda c: (
-                0.6
+            evidence=lambda c: (
+                LIKELY
                 * (c.recipe.get("structure") == "wiener_hammerstein" and _searchable(c.facts))
                 * (not c.recipe.get("searched"))
             ),
@@ -85,7 +84,7 @@ CARD = Card(
         ),
         Move(
             name="finer static function",
-            weight=lambda c: 0.6 * bool(c.recipe.get("searched")),
+            evidence=lambda c: LIKELY * bool(c.recipe.get("searched")),
             change=lambda c: c.recipe.configured(
                 hidden=round(1.6 * c.recipe.number("hidden", 8.0))
             ).trained(starts=3),
@@ -97,5 +96,6 @@ CARD = Card(
             "hammerstein", "before", "The actuator is nonlinear, the rest is linear (Hammerstein)."
         ),
         _to("wiener", "after", "The sensor is nonlinear, the rest is linear (Wiener)."),
+        slow_noise(),
     ),
 )

@@ -2,11 +2,11 @@
 
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
-from asia.agents.library.move import Card, Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import has_storage
-from asia.agents.library.trial_evidence import coloured, curved, fails_on_top
+from asia.agents.library.trial_evidence import fails_on_top
 from asia.agents.view import Facts
 from asia.data.statistics import plateau_share
 
@@ -58,12 +58,11 @@ CARD = Card(
         ),
     ),
     (
-        slow_noise(),
         Move(
             name="storages run over",
-            weight=lambda c: (
-                (0.95 if fails_on_top(c.trial) or _saturates(c.facts) else 0.5)
-                * (has_storage(c.facts) and not c.recipe.get("full"))
+            evidence=lambda c: (
+                (SHOWN if fails_on_top(c.trial) or _saturates(c.facts) else POSSIBLE)
+                * (has_storage(c.facts) and (not c.recipe.get("full")))
             ),
             change=lambda c: c.recipe.configured(full=True, spill=True),
             hypothesis="Each storage can be full, and part of its overflow enters the next.",
@@ -71,7 +70,7 @@ CARD = Card(
         ),
         Move(
             name="bent sensor",
-            weight=lambda c: (0.85 if curved(c.trial) else 0.75) * (c.recipe.get("sensor") is None),
+            evidence=lambda c: LIKELY * (c.recipe.get("sensor") is None),
             change=lambda c: c.recipe.configured(sensor="power"),
             hypothesis="The output need not be proportional to the content: an increasing curve "
             "relates them.",
@@ -79,7 +78,7 @@ CARD = Card(
         ),
         Move(
             name="run-off with the root of the content",
-            weight=lambda c: 0.6 * (c.recipe.get("outflow") == "power"),
+            evidence=lambda c: c.recipe.get("outflow") == "power",
             change=lambda c: c.recipe.configured(outflow="root"),
             hypothesis="A free outflow is proportional to the square root of the level: fewer "
             "parameters to fit.",
@@ -87,18 +86,19 @@ CARD = Card(
         ),
         Move(
             name="one storage more",
-            weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (_count(c) < 4),
+            evidence=lambda c: _count(c) < 4,
             change=lambda c: c.recipe.configured(count=_count(c) + 1),
             hypothesis="The output responds later than this number of storages does.",
             expected="A whiter residual just after steps of the input.",
         ),
         Move(
             name="network in the balances",
-            weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (not c.recipe.get("residual")),
+            evidence=lambda c: not c.recipe.get("residual"),
             change=lambda c: c.recipe.configured(residual=4, residual_ridge=5e-2),
             hypothesis="A small regularised network adds the effects that are missing in the "
             "outflow laws.",
             expected="A lower training error; lower V only if the effect is real.",
         ),
+        slow_noise(),
     ),
 )

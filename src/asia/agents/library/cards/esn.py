@@ -36,7 +36,7 @@ CARD = Card(
     (
         Move(
             name="larger reservoir",
-            weight=lambda c: 0.35 * (c.recipe.number("units", 0) < 1000),
+            evidence=lambda c: c.recipe.number("units", 0) < 1000,
             change=lambda c: c.recipe.configured(units=round(2 * c.recipe.number("units", 300))),
             hypothesis="A larger reservoir offers more functions of the past to the readout.",
             expected="Lower training error, V follows.",

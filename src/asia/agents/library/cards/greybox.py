@@ -5,19 +5,17 @@ from asia.agents.library.equation_moves import (
     names_of,
     output_offsets,
 )
-from asia.agents.library.family import Family, Timing
+from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Card, Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import (
     biased,
-    by_overfit,
     coloured,
     fails_on_top,
     input_left,
-    overfit,
 )
 from asia.agents.view import Facts
 from asia.data.statistics import plateau_share
@@ -27,8 +25,7 @@ def _start(facts: Facts) -> Recipe:
     """Return the first recipe; with measured states in windows the equations need no search for an
     initial state."""
     iterations, starts = (60, 8) if facts.horizon is None else (15, 2)
-    config = (("ridge", 1e-3), ("residual_ridge", 1e-2))
-    return Recipe("greybox", config, LM, (("iterations", iterations), ("starts", starts)))
+    return Recipe("greybox", (), LM, (("iterations", iterations), ("starts", starts)))
 
 
 def _space(facts: Facts) -> Space:
@@ -83,24 +80,19 @@ def _next_state(at: Situation) -> tuple[str, ...]:
     return (*names, *[s for s in at.states if s not in names][:1])
 
 
-def _saturation_weight(at: Situation) -> float:
+def _saturation(at: Situation) -> int:
     full = names_of(at, "saturation")
     if _next_state(at) == full:
-        return 0.0
-    evidence = fails_on_top(at.trial) or plateau_share(at.facts.records) > 0.02
-    if not full:
-        return 0.95 if evidence else 0.6
-    return 0.35 if evidence else 0.15
+        return 0
+    shown = fails_on_top(at.trial) or plateau_share(at.facts.records) > 0.02
+    return SHOWN if shown and not full else POSSIBLE
 
 
-def _overflow_weight(at: Situation) -> float:
-    """A little above saturation alone while a next state exists to take the spill, of something
-    that can overflow."""
-    if not has_storage(at.facts):
-        return 0.0
-    chain = len(at.states) > len(_next_state(at))
-    fresh = not names_of(at, "saturation")
-    return 1.02 * _saturation_weight(at) if chain and fresh else 0.0
+def _overflow(at: Situation) -> int:
+    """That of saturation, while a next state exists to take the spill of something that can
+    overflow."""
+    chain = len(at.states) > len(_next_state(at)) and not names_of(at, "saturation")
+    return _saturation(at) * (has_storage(at.facts) and chain)
 
 
 def _lacks_offsets(at: Situation, names: tuple[str, ...]) -> bool:
@@ -111,25 +103,10 @@ def _with_offsets(at: Situation, names: tuple[str, ...]) -> Recipe:
     return at.recipe.configured(offset=(*names_of(at, "offset"), *names))
 
 
-def _ridge(at: Situation, factor: float) -> Recipe:
-    """The ridge that holds most of the weights: the network's, where there is one."""
-    name, default = ("residual_ridge", 1e-2) if at.recipe.get("residual") else ("ridge", 1e-3)
-    return at.recipe.times(name, factor, default)
-
-
 _MOVES: tuple[Move, ...] = (
     Move(
-        name="{state} saturates",
-        weight=_saturation_weight,
-        change=lambda c: c.recipe.configured(saturation=_next_state(c)),
-        state=lambda c: _next_state(c)[-1],
-        hypothesis="A state has an upper limit that is missing in the equations: errors are "
-        "concentrated where the output is high or constant.",
-        expected="Lower error near the top of the output; the limit settles inside the data.",
-    ),
-    Move(
         name="{state} runs over",
-        weight=_overflow_weight,
+        evidence=_overflow,
         change=lambda c: c.recipe.configured(saturation=_next_state(c), spill=True),
         state=lambda c: _next_state(c)[-1],
         hypothesis="A state has an upper limit that is missing in the equations, and part of its "
@@ -138,11 +115,19 @@ _MOVES: tuple[Move, ...] = (
         expected="Lower error where the output is high, on every fold where the limit is reached.",
     ),
     Move(
+        name="{state} saturates",
+        evidence=_saturation,
+        change=lambda c: c.recipe.configured(saturation=_next_state(c)),
+        state=lambda c: _next_state(c)[-1],
+        hypothesis="A state has an upper limit that is missing in the equations: errors are "
+        "concentrated where the output is high or constant.",
+        expected="Lower error near the top of the output; the limit settles inside the data.",
+    ),
+    Move(
         name="a full {state} spills over",
-        weight=lambda c: (
-            0.9
-            if len(c.states) > 1 and names_of(c, "saturation") and not c.recipe.get("spill")
-            else 0.0
+        evidence=lambda c: (
+            SHOWN
+            * (len(c.states) > 1 and bool(names_of(c, "saturation")) and not c.recipe.get("spill"))
         ),
         change=lambda c: c.recipe.configured(spill=True),
         state=lambda c: names_of(c, "saturation")[0],
@@ -151,8 +136,8 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="output offset",
-        weight=lambda c: (
-            (0.8 if biased(c.trial) else 0.4) * _lacks_offsets(c, output_offsets(c.facts))
+        evidence=lambda c: (
+            (LIKELY if biased(c.trial) else POSSIBLE) * _lacks_offsets(c, output_offsets(c.facts))
         ),
         change=lambda c: _with_offsets(c, output_offsets(c.facts)),
         hypothesis="The sensor has an offset from the equations.",
@@ -160,7 +145,9 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="constant in and outflow",
-        weight=lambda c: (0.75 if coloured(c.trial) else 0.5) * _lacks_offsets(c, c.states),
+        evidence=lambda c: (
+            (LIKELY if coloured(c.trial) else POSSIBLE) * _lacks_offsets(c, c.states)
+        ),
         change=lambda c: _with_offsets(c, c.states),
         hypothesis="Each balance lacks a constant: a leak, a dead zone, or a level with an offset "
         "from the equations.",
@@ -168,7 +155,7 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="linear term",
-        weight=lambda c: 0 if c.recipe.get("linear") else 0.5 if coloured(c.trial) else 0.3,
+        evidence=lambda c: not c.recipe.get("linear"),
         change=lambda c: c.recipe.configured(linear=True),
         hypothesis="The residual is not white: a small linear term in states and inputs represents "
         "missing dynamics.",
@@ -176,55 +163,31 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="residual network",
-        weight=lambda c: 0 if c.recipe.get("residual") else 0.65 if coloured(c.trial) else 0.35,
+        evidence=lambda c: not c.recipe.get("residual"),
         change=lambda c: c.recipe.without("discover").configured(residual=4),
         hypothesis="The residual depends on the state in a way that is missing in the equations: a "
         "small network in the dynamics, regularised by its prior, can learn it.",
         expected="Lower training error; lower V only if the effect is real.",
     ),
     Move(
-        name="residual network, held tighter",
-        weight=lambda c: 0 if c.recipe.get("residual") else 0.6 if coloured(c.trial) else 0.3,
-        change=lambda c: c.recipe.without("discover").configured(residual=4, residual_ridge=5e-2),
-        hypothesis="The equations lack an effect of the state, and a small network finds it only "
-        "if its prior prevents overfitting.",
-        expected="Less gain on the training side than a free network, and more on V.",
-    ),
-    Move(
         name="wider residual network",
-        weight=lambda c: (
-            (0.45 if overfit(c.trial) < 1.5 else 0.2) * (0 < c.recipe.number("residual", 0) < 12)
-        ),
+        evidence=lambda c: 0 < c.recipe.number("residual", 0) < 12,
         change=lambda c: c.recipe.configured(residual=round(2 * c.recipe.number("residual", 4))),
         hypothesis="V is near the training error with the network: it may be larger.",
         expected="Lower training error, V follows.",
     ),
     Move(
-        name="more ridge",
-        weight=lambda c: by_overfit(c.trial, 0.75, 0.45, 0.1),
-        change=lambda c: _ridge(c, 10.0),
-        hypothesis="V is well above the training error: the additions follow their own fold.",
-        expected="A slightly higher training error and a lower V.",
-    ),
-    Move(
-        name="less ridge",
-        weight=lambda c: 0.5 if overfit(c.trial) < 1.3 else 0.15,
-        change=lambda c: _ridge(c, 0.1),
-        hypothesis="V is near the training error: the priors are too strong.",
-        expected="Lower training error, V follows.",
-    ),
-    Move(
         name="robust loss",
-        weight=lambda c: (
-            0.3 * (c.recipe.get("noise_model") != "slow" and not c.recipe.get("robust"))
-        ),
+        evidence=lambda c: c.recipe.get("noise_model") != "slow" and not c.recipe.get("robust"),
         change=lambda c: c.recipe.configured(robust=0.1),
         hypothesis="A few outliers that no parameter can explain bias the fit.",
         expected="About the same training error, steadier parameters over the folds.",
     ),
     Move(
         name="input delay",
-        weight=lambda c: 0 if c.recipe.get("input_delay") else 0.5 if input_left(c.trial) else 0.2,
+        evidence=lambda c: (
+            (LIKELY if input_left(c.trial) else POSSIBLE) * (not c.recipe.get("input_delay"))
+        ),
         change=lambda c: c.recipe.configured(input_delay=3.0),
         hypothesis="The input acts later than in the equations.",
         expected="The input no longer explains the residual.",
@@ -246,6 +209,7 @@ CARD = Card(
             space=_space,
             small=(("iterations", 3), ("starts", 1)),
             timing=Timing(start=1.3, unit=1.7e-06),
+            path=Path("residual_ridge", (1e-1, 1e-2, 1e-3), "residual"),
             settle=_settle,
             extendable=True,
         ),

@@ -1,6 +1,6 @@
 """Hybrid model: the problem's equations with a learned residual."""
 
-from asia.agents.library.family import Family, Timing
+from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Card
 from asia.agents.library.recipe import Recipe
@@ -24,7 +24,7 @@ CARD = Card(
                 options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8))),
             ),
             small=(("units", 4), ("iterations", 3), ("starts", 1)),
-            path=("ridge", (1e-1, 1e-2, 1e-3)),
+            path=Path("ridge", (1e-1, 1e-2, 1e-3)),
             timing=Timing(start=0.4, unit=4.7e-05),
         ),
     )

@@ -12,7 +12,7 @@ from asia.agents.library.methods import (
     noise_space,
     slow_noise,
 )
-from asia.agents.library.move import Card, Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space
 from asia.agents.library.traits import periodic
@@ -21,8 +21,6 @@ from asia.data.statistics import delays, several_levels
 
 # Share of the error for which another state is taken.
 _FINER = 0.005
-BEST_LINEAR = "settings of the best linear model"
-"""Name of the move to the linear model that every search scores as a reference."""
 # Greatest delay that a fit looks for by itself.
 _DELAYS_TRIED = 10
 # Share by which V of the best linear model is below that of the baseline, to be tried at once.
@@ -65,21 +63,19 @@ def _scheduled(facts: Facts) -> Arguments:
     return (("scheduling", 1),) if any(s.role == "scheduling" for s in facts.inputs) else ()
 
 
-def _level_weight(at: Situation) -> float:
-    """Near certain where a fit takes seconds; the gain differs from level to level of most."""
+def _levels(at: Situation) -> int:
+    """Shown where a fit takes seconds; the gain differs from level to level of most."""
     if at.facts.horizon is not None or at.recipe.get("levels") or _is_special(at.recipe):
-        return 0.0
-    if not several_levels(at.facts.records):
-        return 0.0
-    return 0.92 if _by_lines(at) else 0.5
+        return 0
+    return (SHOWN if _by_lines(at) else POSSIBLE) * several_levels(at.facts.records)
 
 
-def _reference_weight(at: Situation) -> float:
-    """Near certain for the baseline where another linear model is clearly better."""
+def _reference(at: Situation) -> int:
+    """Shown for the baseline where another linear model is clearly better."""
     best, value = at.view.linear, at.trial.value
     if at.recipe.maps or not at.facts.linear or best is None or value is None:
-        return 0.0
-    return 0.96 * (best < (1.0 - _CLEAR) * value)
+        return 0
+    return SHOWN * (best < (1.0 - _CLEAR) * value)
 
 
 def _by_lines(at: Situation) -> bool:
@@ -98,12 +94,12 @@ def _next_loop_method(at: Situation) -> Recipe:
     return at.recipe.configured(loop=methods[(methods.index(str(now)) + 1) % len(methods)])
 
 
-def _loop_weight(at: Situation) -> float:
-    """Near certain where a linear fit is biased by feedback, or a method failed. V does not choose
-    among methods that work: bias may lower it."""
+def _loop(at: Situation) -> int:
+    """Shown where a linear fit is biased by feedback, or a method failed. V does not choose among
+    methods that work: bias may lower it."""
     if not _loop_methods(at.facts):
-        return 0.0
-    return 0.95 * (not at.recipe.get("loop") or at.trial.value is None)
+        return 0
+    return SHOWN * (not at.recipe.get("loop") or at.trial.value is None)
 
 
 def _space(facts: Facts) -> Space:
@@ -168,15 +164,10 @@ CARD = Card((
         timing=Timing(start=0.0, unit=1.4e-06),
     ),
 ), (
-    replace(
-        slow_noise(),
-        families=("linear",),
-        weight=lambda c: 0.0 if _is_special(c.recipe) else slow_noise().weight(c),
-    ),
     Move(
         name="closed-loop method",
         families=("linear",),
-        weight=_loop_weight,
+        evidence=_loop,
         change=_next_loop_method,
         hypothesis="The controller carries noise into the input. The methods for closed loops "
         "differ in what they need: a noise model, the reference, or the controller.",
@@ -185,7 +176,7 @@ CARD = Card((
     Move(
         name="coefficients of a higher degree in the scheduling signal",
         families=("arx",),
-        weight=lambda c: 0.8 * (0 < c.recipe.number("scheduling", 0) < 3),
+        evidence=lambda c: LIKELY * (0 < c.recipe.number("scheduling", 0) < 3),
         change=lambda c: c.recipe.configured(
             scheduling=round(c.recipe.number("scheduling", 0)) + 1
         ),
@@ -193,33 +184,36 @@ CARD = Card((
         expected="A lower V on every fold.",
     ),
     Move(
-        name=BEST_LINEAR,
+        name="settings of the best linear model",
         families=("linear",),
-        weight=_reference_weight,
+        evidence=_reference,
         change=lambda c: _linear(c.facts),
         hypothesis="Of the linear models that every search scores, another kind of fit has the "
         "least V: by prediction errors, or with regularised coefficients.",
         expected="V of the best linear model.",
-        behind_counts=False,
     ),
     *(replace(move, families=("linear",)) for move in integrator_moves()),
     Move(
         name="systems by level of excitation",
         families=("linear",),
-        weight=_level_weight,
+        evidence=_levels,
         change=lambda c: c.recipe.configured(levels=True),
         hypothesis="The records are of several levels of excitation. Gain, damping and frequencies "
         "of a nonlinear system differ from level to level: a linear system for each.",
         expected="A far lower V if the system is nonlinear; the same V if it is not.",
-        behind_counts=False,
     ),
     Move(
         name="more states",
         families=("linear",),
-        weight=lambda c: 0.6 * _by_lines(c) * (c.recipe.number("tolerance", 1.0) > _FINER),
+        evidence=lambda c: _by_lines(c) and c.recipe.number("tolerance", 1.0) > _FINER,
         change=lambda c: c.recipe.configured(tolerance=_FINER, periodic_order=90),
         hypothesis="The lines of periodic records resolve many modes: each small gain in error "
         "justifies a state.",
         expected="A slightly lower V.",
+    ),
+    replace(
+        slow_noise(),
+        families=("linear",),
+        evidence=lambda c: 0 if _is_special(c.recipe) else slow_noise().evidence(c),
     ),
 ))  # fmt: skip

@@ -1,6 +1,6 @@
 """A linear state-space model with small static networks in it."""
 
-from asia.agents.library.family import Family, Timing
+from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import (
     LM,
     from_pieces,
@@ -10,11 +10,11 @@ from asia.agents.library.methods import (
     slow_noise,
     symmetry_space,
 )
-from asia.agents.library.move import Card, Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
-from asia.agents.library.trial_evidence import coloured, curved, overfit
+from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts
 from asia.data.statistics import Cause, switching, transport
 
@@ -89,8 +89,6 @@ def _carried(at: Situation) -> Recipe:
 # Share of the one-step error from which on a switching term is more than what smooth systems show,
 # and how much more it may be by chance in one sample.
 _TRACE, _BY_CHANCE = 0.01, 8.0
-# Remaining weight of a static function at one place.
-_IN_LFR = 0.5
 # Inputs and outputs for which cubic polynomials, and for which quadratic ones, have few terms.
 _CUBIC, _QUADRATIC = 2, 5
 
@@ -99,15 +97,15 @@ def _signals(facts: Facts) -> int:
     return len(facts.inputs) + len(facts.outputs)
 
 
-def _polynomial_weight(at: Situation) -> float:
-    """Return the weight of polynomials, fitted from segments: a whole-record fit from zero seldom
+def _polynomial(at: Situation) -> int:
+    """Evidence for polynomials, fitted from segments: a whole-record fit from zero seldom
     converges."""
     facts, recipe = at.facts, at.recipe
     few = _signals(facts) <= _QUADRATIC and facts.horizon is None
     smooth = recipe.get("nonlinearity") == "state" and not _has_element(at)
     if not (few and smooth) or recipe.get("basis") == "polynomial":
-        return 0.0
-    return 0.855 if coloured(at.trial) else 0.5
+        return 0
+    return LIKELY if coloured(at.trial) else POSSIBLE
 
 
 def _is_lpv(at: Situation) -> bool:
@@ -125,13 +123,13 @@ def _has_lfr(at: Situation) -> bool:
     return any(trial.family == "nl_lfr" for trial in at.view.trials)
 
 
-def _unless_at(at: Situation, place: str, weight: float) -> float:
-    """Return the weight, or 0 around a free integrator: a drifting output visits each level
-    once."""
-    if at.recipe.get("nonlinearity") == place:
-        return 0.0
-    weight *= _IN_LFR if _has_lfr(at) else 1.0
-    return 0.0 if place != "input" and at.recipe.number("integrators", 0) else weight
+def _static(at: Situation, place: str) -> int:
+    """Evidence for a static function at the place; none around a free integrator, whose output
+    visits each level once."""
+    drifts = place != "input" and bool(at.recipe.number("integrators", 0))
+    if at.recipe.get("nonlinearity") == place or drifts:
+        return 0
+    return POSSIBLE if _has_lfr(at) or place == "both" else LIKELY
 
 
 def _moved_to(at: Situation, place: str) -> Recipe:
@@ -141,21 +139,20 @@ def _moved_to(at: Situation, place: str) -> Recipe:
     return recipe.configured(channels=None) if recipe.has("channels") else recipe
 
 
-def _element_weight(at: Situation, element: str, *causes: Cause) -> float:
-    """Near certain where the records show it."""
+def _element(at: Situation, element: str, *causes: Cause) -> int:
     found = switching(at.facts.records)
-    return 0.93 * (found.found and found.cause in causes and not at.recipe.get(element))
+    return SHOWN * (found.found and found.cause in causes and not at.recipe.get(element))
 
 
-def _trace_weight(at: Situation, weight: float) -> float:
-    """Return the weight for a coloured residual, where the records show only a trace of the effect,
-    or where a smooth model overfits its own fold."""
+def _trace(at: Situation) -> int:
+    """Evidence where the residual is coloured: the records show only a trace of the effect, or a
+    smooth model overfits its own fold."""
     smooth = at.facts.horizon is None and not _has_element(at)
     if not smooth or not coloured(at.trial) or switching(at.facts.records).found:
-        return 0.0
+        return 0
     least = _TRACE + _BY_CHANCE / at.facts.samples
     likely = switching(at.facts.records).share > least or overfit(at.trial) > 4.0
-    return weight if likely else 0.5 * weight
+    return LIKELY if likely else POSSIBLE
 
 
 def _with_element(at: Situation, element: str, **config: Value) -> Recipe:
@@ -177,35 +174,32 @@ def _has_element(at: Situation) -> bool:
 _ELEMENTS: tuple[Move, ...] = (
     Move(
         name="dry friction",
-        weight=lambda c: _element_weight(c, "friction", "velocity"),
+        evidence=lambda c: _element(c, "friction", "velocity"),
         # Few states, so that none of them takes the place of friction.
         change=lambda c: _with_element(c, "friction", order=1),
         hypothesis="The residual of a one-step model has the sign of an output: a mass with "
         "measured velocity that sticks. A friction element can hold it at rest.",
         expected="A far lower V; the simulation is at rest where the system is.",
-        behind_counts=False,
     ),
     Move(
         name="friction or hysteresis",
-        weight=lambda c: _element_weight(c, "friction", "displacement"),
+        evidence=lambda c: _element(c, "friction", "displacement"),
         change=lambda c: _with_element(c, "friction", order=2),
         hypothesis="The residual of a one-step model depends on the direction of the output, or on "
         "its last reversal: a friction element with its own memory.",
         expected="A far lower V; lower error after each turn.",
-        behind_counts=False,
     ),
     Move(
         name="play",
-        weight=lambda c: _element_weight(c, "play", "input"),
+        evidence=lambda c: _element(c, "play", "input"),
         change=lambda c: _with_element(c, "play"),
         hypothesis="The residual of a one-step model depends on the last reversal of an input: "
         "backlash between actuator and process.",
         expected="A far lower V; lower error after each turn of the input.",
-        behind_counts=False,
     ),
     Move(
         name="a trace of friction",
-        weight=lambda c: _trace_weight(c, 0.87),
+        evidence=lambda c: _trace(c),
         change=lambda c: _with_element(c, "friction"),
         hypothesis="The residual is coloured, and a nonsmooth effect may be missing: a friction "
         "element switches at reversals of the motion, and can hold the system at rest.",
@@ -213,7 +207,7 @@ _ELEMENTS: tuple[Move, ...] = (
     ),
     Move(
         name="a trace of play",
-        weight=lambda c: _trace_weight(c, 0.86),
+        evidence=lambda c: _trace(c),
         change=lambda c: _with_element(c, "play"),
         hypothesis="The residual is coloured, and a nonsmooth effect may be missing: with backlash "
         "the output does not move after each reversal.",
@@ -221,14 +215,14 @@ _ELEMENTS: tuple[Move, ...] = (
     ),
     Move(
         name="static functions beside the element",
-        weight=lambda c: 0.7 * _has_element(c) * (c.recipe.get("nonlinearity") == "none"),
+        evidence=lambda c: LIKELY * _has_element(c) * (c.recipe.get("nonlinearity") == "none"),
         change=lambda c: c.recipe.configured(nonlinearity="state", hidden=4),
         hypothesis="The residual next to friction or backlash may be smooth.",
         expected="Lower training error; lower V if the effect is real.",
     ),
     Move(
         name="another element",
-        weight=lambda c: 0.55 * _has_element(c),
+        evidence=_has_element,
         change=_one_element_more,
         hypothesis="One element has corners; several together make a loop of any shape.",
         expected="Lower error in the turns.",
@@ -252,46 +246,42 @@ CARD = Card(
             start=_start,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
-            path=("ridge", (1e-1, 1e-3, 1e-5)),
+            path=Path("ridge", (1e-1, 1e-3, 1e-5)),
             timing=Timing(start=1.6, unit=2.1e-06),
         ),
     ),
     (
-        slow_noise(),
         *integrator_moves(),
         Move(
             name="delays set by an input",
-            # Near certain where the records show it.
-            weight=lambda c: (
-                0.93 * (not c.recipe.has("transport") and transport(c.facts.records) is not None)
+            evidence=lambda c: (
+                SHOWN * (not c.recipe.has("transport") and transport(c.facts.records) is not None)
             ),
             change=_carried,
             hypothesis="The delay grows as one of the inputs decreases: a flow or a speed that "
             "transports the effect of the others.",
             expected="A far lower V; the error is no longer concentrated after each step of an "
             "input.",
-            behind_counts=False,
         ),
+        from_pieces(past_fit=True),
         *_ELEMENTS,
-        # Above any ridge: in a local minimum V exceeds the training error as well.
-        from_pieces(0.88, 0.4, past_fit=True),
         Move(
             name="matrices quadratic in the scheduling signal",
-            weight=lambda c: 0.8 * (_is_lpv(c) and c.recipe.number("degree", 2) < 3),
+            evidence=lambda c: LIKELY * (_is_lpv(c) and c.recipe.number("degree", 2) < 3),
             change=lambda c: c.recipe.configured(degree=3),
             hypothesis="Gain or poles are no straight line of the scheduling signal.",
             expected="A lower V on every fold.",
         ),
         Move(
             name="functions of states and inputs beside the scheduling signal",
-            weight=lambda c: 0.75 * _is_lpv(c),
+            evidence=lambda c: LIKELY * _is_lpv(c),
             change=lambda c: c.recipe.without("basis", "degree").configured(hidden=8),
             hypothesis="The system is nonlinear for a constant scheduling signal too.",
             expected="A lower V on every fold.",
         ),
         Move(
             name="polynomials",
-            weight=_polynomial_weight,
+            evidence=_polynomial,
             change=_as_polynomials,
             hypothesis="A polynomial of the states is linear in its weights: given the states, its "
             "fit has one minimum, where a layer of units has many.",
@@ -299,7 +289,7 @@ CARD = Card(
         ),
         Move(
             name="functions of all states",
-            weight=lambda c: 0.7 * (c.recipe.get("nonlinearity") == "modal"),
+            evidence=lambda c: LIKELY * (c.recipe.get("nonlinearity") == "modal"),
             change=lambda c: c.recipe.configured(nonlinearity="state", hidden=8),
             hypothesis="The modes act on each other, or the nonlinearity lies elsewhere: a layer "
             "of units reads all states and inputs.",
@@ -308,7 +298,7 @@ CARD = Card(
         ),
         Move(
             name="symmetries of the signals",
-            weight=lambda c: 0.7 * c.varies("symmetry") * (not c.recipe.get("symmetry")),
+            evidence=lambda c: LIKELY * c.varies("symmetry") * (not c.recipe.get("symmetry")),
             change=lambda c: c.recipe.configured(symmetry=True),
             hypothesis="The problem says under which changes of its signals the system stays the "
             "same: a model averaged over them has no even terms to learn where it is odd.",
@@ -316,7 +306,7 @@ CARD = Card(
         ),
         Move(
             name="static function at the output",
-            weight=lambda c: _unless_at(c, "output", 0.8 if curved(c.trial) else 0.7),
+            evidence=lambda c: _static(c, "output"),
             change=lambda c: _moved_to(c, "output"),
             hypothesis="The system may be linear with a static function after it (Wiener): fewer "
             "weights suffice.",
@@ -324,29 +314,30 @@ CARD = Card(
         ),
         Move(
             name="static function at the input",
-            weight=lambda c: _unless_at(c, "input", 0.7),
+            evidence=lambda c: _static(c, "input"),
             change=lambda c: _moved_to(c, "input"),
             hypothesis="The system may be linear with a static function before it (Hammerstein).",
             expected="A lower V at the same training error, if the structure is right.",
         ),
         Move(
             name="static functions on both sides",
-            weight=lambda c: _unless_at(c, "both", 0.6),
+            evidence=lambda c: _static(c, "both"),
             change=lambda c: _moved_to(c, "both"),
             hypothesis="Static functions before and after a linear system (Hammerstein-Wiener).",
             expected="A lower V than either alone, if the structure is right.",
         ),
         Move(
             name="static function in feedback",
-            weight=lambda c: (
-                (0.5 * _IN_LFR if _has_lfr(c) else 0.5)
-                * (c.recipe.get("nonlinearity") == "state")
-                * (not c.recipe.get("channels") and not _is_lpv(c))
+            evidence=lambda c: (
+                c.recipe.get("nonlinearity") == "state"
+                and not c.recipe.get("channels")
+                and not _is_lpv(c)
             ),
             change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
             hypothesis="One signal passes one static function in the feedback of a linear system "
             "(a hardening spring, a saturating actuator in a loop): fewer weights suffice.",
             expected="A lower V at the same training error, if the structure is right.",
         ),
+        slow_noise(),
     ),
 )

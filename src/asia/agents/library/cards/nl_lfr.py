@@ -1,6 +1,6 @@
 """A linear system with a few static functions in feedback."""
 
-from asia.agents.library.family import Family, Timing
+from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import (
     LM,
     from_pieces,
@@ -9,7 +9,7 @@ from asia.agents.library.methods import (
     noise_space,
     slow_noise,
 )
-from asia.agents.library.move import Card, Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import traits
@@ -64,41 +64,33 @@ CARD = Card(
             start=_nl_lfr,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
-            path=("ridge", (1e-2, 1e-4, 1e-6)),
+            path=Path("ridge", (1e-2, 1e-4, 1e-6)),
             timing=Timing(start=6.2, unit=3.3e-05),
             has_static=True,
         ),
     ),
     (
-        slow_noise(),
         *integrator_moves(),
         Move(
             name="one channel more",
-            # Near certain while the residual is coloured: one function of one signal is seldom all.
-            weight=lambda c: (0.92 if coloured(c.trial) else 0.6) * (_channels(c) < 4),
+            # One function of one signal is seldom all.
+            evidence=lambda c: (LIKELY if coloured(c.trial) else POSSIBLE) * (_channels(c) < 4),
             change=lambda c: c.recipe.configured(channels=_channels(c) + 1),
             hypothesis="The functions depend on more signals than they receive: products of a "
             "state and an input, or several nonlinearities in the system.",
             expected="A lower training error and a whiter residual, V follows.",
         ),
+        from_pieces(),
         Move(
             name="finer functions",
-            weight=lambda c: (
-                (0.75 if coloured(c.trial) else 0.45) * (c.recipe.number("hidden", 12) < 30)
+            evidence=lambda c: (
+                (LIKELY if coloured(c.trial) else POSSIBLE) * (c.recipe.number("hidden", 12) < 30)
             ),
             change=lambda c: c.recipe.configured(hidden=round(1.6 * c.recipe.number("hidden", 12))),
             hypothesis="A function has a corner or is strongly curved within a narrow range: it "
             "needs more units.",
             expected="A lower training error and V, down to the noise floor.",
         ),
-        from_pieces(0.8, 0.3),
-        Move(
-            name="more starts",
-            weight=lambda c: 0.55 * (c.recipe.number("starts", 2) < 5),
-            change=lambda c: c.recipe.trained(starts=5),
-            hypothesis="The inputs of the functions are chosen from the linear model's residual, "
-            "and the best choice may be wrong: more choices are fitted.",
-            expected="The same or a lower training error.",
-        ),
+        slow_noise(),
     ),
 )

@@ -1,11 +1,10 @@
 """Nonlinear models that predict one step ahead and are simulated on their own output."""
 
-from asia.agents.library.family import Family, Timing
+from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Card, Move
+from asia.agents.library.move import LIKELY, POSSIBLE, Card, Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
-from asia.agents.library.trial_evidence import curved
 from asia.data.statistics import plateau_share
 
 CARD = Card(
@@ -35,7 +34,7 @@ CARD = Card(
                 options=(OneOf("iterations", (15, 30, 60)),),
             ),
             small=(("iterations", 3),),
-            path=("coefficient_ridge", (1e-1, 1e-3, 1e-5)),
+            path=Path("coefficient_ridge", (1e-1, 1e-3, 1e-5)),
             timing=Timing(start=0.4, unit=3.9e-06),
         ),
         Family(
@@ -69,8 +68,8 @@ CARD = Card(
     (
         Move(
             name="output kept inside its range",
-            weight=lambda c: (
-                (0.7 if plateau_share(c.facts.records) > 0.02 else 0.35)
+            evidence=lambda c: (
+                (LIKELY if plateau_share(c.facts.records) > 0.02 else POSSIBLE)
                 * (c.recipe.number("margin", 0.1) > 0)
             ),
             change=lambda c: c.recipe.configured(margin=0.0),
@@ -80,9 +79,7 @@ CARD = Card(
         Move(
             name="terms up to the third degree",
             families=("narx",),
-            weight=lambda c: (
-                (0.4 if curved(c.trial) else 0.25) * (c.recipe.number("degree", 2) < 3)
-            ),
+            evidence=lambda c: c.recipe.number("degree", 2) < 3,
             change=lambda c: c.recipe.configured(degree=3),
             hypothesis="The nonlinearity is not even.",
             expected="A lower training error, V follows.",

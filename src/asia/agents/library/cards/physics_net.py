@@ -4,11 +4,10 @@ from functools import partial
 
 from asia.agents.library.family import GENTLE_STEPS, Family, Timing, steps
 from asia.agents.library.methods import LM, absolute_loss, adam_space
-from asia.agents.library.move import Card, Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import names_places
-from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts, Trial
 
 
@@ -123,7 +122,7 @@ def _spread(trial: Trial) -> float:
 _MOVES: tuple[Move, ...] = (
     Move(
         name="network at the corrections",
-        weight=lambda c: 0.95 * names_places(c.facts) * (not c.recipe.get("network")),
+        evidence=lambda c: SHOWN * names_places(c.facts) * (not c.recipe.get("network")),
         change=lambda c: _network_at_places(c.facts, c.recipe, "gru"),
         hypothesis="Known physics with its symmetries, started at probable parameters, leaves "
         "small unknown effects at known places for a network with memory.",
@@ -131,8 +130,8 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="gentler windows",
-        weight=lambda c: (
-            (0.7 if _spread(c.trial) > 2.0 else 0.3)
+        evidence=lambda c: (
+            (LIKELY if _spread(c.trial) > 2.0 else POSSIBLE)
             * _has_network_at_places(c)
             * (c.recipe.number("gentle", 0.0) < 1.0)
         ),
@@ -143,8 +142,8 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="earlier saturation",
-        weight=lambda c: (
-            (0.75 if _spread(c.trial) > 2.0 else 0.4)
+        evidence=lambda c: (
+            (LIKELY if _spread(c.trial) > 2.0 else POSSIBLE)
             * _has_network_at_places(c)
             * (c.recipe.number("reach", 3.0) > 1.0)
         ),
@@ -154,33 +153,11 @@ _MOVES: tuple[Move, ...] = (
         expected="A lower V in that fold, about the same in the others.",
     ),
     Move(
-        name="longer fit",
-        weight=lambda c: (
-            0.65
-            * _has_network_at_places(c)
-            * (c.recipe.number("steps", GENTLE_STEPS) < 2 * GENTLE_STEPS)
-        ),
-        change=lambda c: c.recipe.times("steps", 1.5, GENTLE_STEPS),
-        hypothesis="Physics and network start from priors, and have not converged.",
-        expected="A lower training error, V follows.",
-    ),
-    Move(
-        name="smaller rate",
-        weight=lambda c: (
-            0.5 * _has_network_at_places(c) * (c.recipe.number("learning_rate", 4e-3) > 2e-3)
-        ),
-        change=lambda c: c.recipe.times("learning_rate", 0.6, 4e-3),
-        hypothesis="The physics have converged; the learning rate of the network is too high for "
-        "the remaining error.",
-        expected="A less noisy V of the folds.",
-    ),
-    Move(
         name="average of several seeds",
-        weight=lambda c: (
-            (0.6 if overfit(c.trial) > 1.5 else 0.4)
-            * bool(c.recipe.get("network"))
-            * (not _stops_by_score(c))
-            * (c.recipe.number("members", 1) < 2)
+        evidence=lambda c: (
+            bool(c.recipe.get("network"))
+            and not _stops_by_score(c)
+            and c.recipe.number("members", 1) < 2
         ),
         change=lambda c: c.recipe.trained(members=2),
         hypothesis="The random part of a network differs between seeds, and the mean has less of "
@@ -189,7 +166,7 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="more windows",
-        weight=lambda c: 0.75 * (c.recipe.number("windows", 240) < 960) * _fitted_first(c),
+        evidence=lambda c: LIKELY * (c.recipe.number("windows", 240) < 960) * _fitted_first(c),
         change=lambda c: c.recipe.configured(windows=round(2 * c.recipe.number("windows", 240))),
         hypothesis="The equations were fitted to some of the training windows: more windows reduce "
         "the variance.",
@@ -197,7 +174,7 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="equations alone",
-        weight=lambda c: 0.6 * bool(c.recipe.get("network")),
+        evidence=lambda c: bool(c.recipe.get("network")),
         change=_without_network,
         hypothesis="The equations with a few sparse linear terms may suffice: the network may fit "
         "the noise of its fold.",
@@ -205,7 +182,7 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="slow disturbance",
-        weight=lambda c: 0 if c.recipe.get("disturbance") else 0.5 if coloured(c.trial) else 0.35,
+        evidence=lambda c: not c.recipe.get("disturbance"),
         change=lambda c: c.recipe.configured(disturbance=True),
         hypothesis="A slow unmeasured disturbance acts on the states (wind, a draining supply, a "
         "drift).",
@@ -213,53 +190,22 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="feed-forward residual",
-        weight=lambda c: (0.7 if _stops_by_score(c) else 0.4) * (c.recipe.get("network") != "mlp"),
+        evidence=lambda c: (
+            (LIKELY if _stops_by_score(c) else POSSIBLE) * (c.recipe.get("network") != "mlp")
+        ),
         change=lambda c: _with_network(c.facts, c.recipe, "mlp"),
         hypothesis="The residual depends on the present states and inputs.",
         expected="Lower training error, V follows.",
     ),
     Move(
         name="recurrent residual",
-        weight=lambda c: (
-            (0.8 if _stops_by_score(c) else 0.45) * (c.recipe.get("network") not in ("gru", "lstm"))
+        evidence=lambda c: (
+            (LIKELY if _stops_by_score(c) else POSSIBLE)
+            * (c.recipe.get("network") not in ("gru", "lstm"))
         ),
         change=lambda c: _with_network(c.facts, c.recipe, "gru"),
         hypothesis="The residual depends on the past as well: actuator delays, lagging flows.",
         expected="Lower training error, V follows.",
-    ),
-    Move(
-        name="smaller residual",
-        weight=lambda c: (
-            (0.6 if overfit(c.trial) > 1.5 else 0.3)
-            * bool(c.recipe.get("network"))
-            * (c.recipe.number("size", 1.0) > 0.1)
-        ),
-        change=lambda c: c.recipe.times("size", 0.3, 1.0),
-        hypothesis="Limited to a third of its range, the network cannot override the equations "
-        "where it has not been trained.",
-        expected="A higher training error and a lower V.",
-    ),
-    Move(
-        name="fewer linear terms",
-        weight=lambda c: (0.5 if overfit(c.trial) > 1.5 else 0.3) * bool(c.recipe.get("linear")),
-        change=lambda c: c.recipe.times("sparsity", 3.0, 3e-4),
-        hypothesis="Terms with little gain on the training records increase the error on others.",
-        expected="About the same training error and a lower V.",
-    ),
-    Move(
-        name="more linear terms",
-        weight=lambda c: 0.3 * bool(c.recipe.get("linear")),
-        change=lambda c: c.recipe.times("sparsity", 0.3, 3e-4),
-        hypothesis="Terms were dropped that the equations need.",
-        expected="A lower training error, V follows.",
-    ),
-    Move(
-        name="loss on every error alike",
-        weight=lambda c: 0.25 * _fitted_first(c) * (c.recipe.get("robust", 0.3) is not None),
-        change=lambda c: c.recipe.configured(robust=None),
-        hypothesis="Large errors are not outliers but effects that the equations have not fitted "
-        "yet.",
-        expected="A lower error at the end of the window.",
     ),
 )
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Card, Move, Situation
+from asia.agents.library.move import LIKELY, POSSIBLE, Card, Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space
 from asia.agents.library.trial_evidence import coloured
 
-
-def _residual(at: Situation, weight: float) -> float:
-    return 0.0 if at.recipe.get("residual") else weight * (1.0 if coloured(at.trial) else 0.3)
-
-
 _MOVES = (
     Move(
         name="linear model of the residual",
-        weight=lambda c: _residual(c, 0.8),
+        evidence=lambda c: (
+            (LIKELY if coloured(c.trial) else POSSIBLE) * (not c.recipe.get("residual"))
+        ),
         change=lambda c: c.recipe.configured(residual="linear"),
         hypothesis="The simulator lacks a lag or an offset: a linear model of inputs and simulated "
         "outputs explains part of its error.",
@@ -25,8 +22,8 @@ _MOVES = (
     ),
     Move(
         name="neural model of the residual",
-        weight=lambda c: (
-            0.5 * (c.recipe.get("residual") == "linear") * (1.0 if coloured(c.trial) else 0.4)
+        evidence=lambda c: (
+            (c.recipe.get("residual") == "linear") * (LIKELY if coloured(c.trial) else POSSIBLE)
         ),
         change=lambda c: c.recipe.configured(residual="neural_ss"),
         hypothesis="The error of the simulator depends on its operating point.",
@@ -34,7 +31,7 @@ _MOVES = (
     ),
     Move(
         name="search without gradients",
-        weight=lambda c: 0.0 if c.recipe.get("search") == "global" else 0.4,
+        evidence=lambda c: c.recipe.get("search") != "global",
         change=lambda c: c.recipe.configured(search="global"),
         hypothesis="The calibration ended in a local minimum.",
         expected="Parameters that agree between folds, and a lower training error.",
