@@ -11,7 +11,7 @@ Trees, 1984, section 3.4). Its source is the one that is scored, refitted and ha
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 from statistics import fmean
 
@@ -61,6 +61,13 @@ def first_fit(
     fair = proposed is not None and proposed.fair and not _led(proposed, view)
     sources = variants_of(source, linear_source(view), fair=fair)
     variants = compared(evaluator, sources) if sources and evaluator.data.inner_folds else ()
+    chosen = next((v for v in variants if v.chosen), None)
+    if chosen is not None and chosen.name != LINEAR:
+        orders = orders_of(sources[chosen.name])
+        if orders:
+            sources |= orders
+            others = compared(evaluator, orders, {chosen.name: sources[chosen.name]})
+            variants = *(replace(v, chosen=False) for v in variants if v is not chosen), *others
     source = next((sources[v.name] for v in variants if v.chosen), source)
     return Tried(source, evaluator.evaluate(source, over=over), variants)
 
@@ -103,9 +110,28 @@ def variants_of(source: str, linear: str | None, *, fair: bool = False) -> dict[
     return found
 
 
-def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant, ...]:
+def orders_of(source: str) -> dict[str, str]:
+    """Sources of a chosen variant with the numbers of states of its family, from simple to free;
+    none where it states the number."""
+    recipe = read_recipe(source)
+    row = None if recipe is None else family(recipe.family)
+    if recipe is None or row is None or recipe.get("order"):
+        return {}
+    return {
+        f"order {n}": recipe.configured(order=n).source(f"{row.label}, order {n}")
+        for n in row.orders
+    }
+
+
+def compared(
+    evaluator: Evaluator, sources: Mapping[str, str], chosen: Mapping[str, str] | None = None
+) -> tuple[Variant, ...]:
     """Fit variants on the inner folds, from simple to free until their error rose twice, and choose
-    one."""
+    one.
+
+    Args:
+        chosen: what was chosen before, as the last variant
+    """
     errors: list[tuple[float, ...] | Reason] = []
     means, rises = list[float](), 0
     for source in sources.values():
@@ -114,7 +140,11 @@ def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant,
         rises += len(means) > 1 and means[-1] >= means[-2]
         if rises == 2:
             break
-    return chosen_of(list(sources)[: len(errors)], errors)
+    names = list(sources)[: len(errors)]
+    for name, source in (chosen or {}).items():
+        names.append(name)
+        errors.append(evaluator.inner_errors(source))
+    return chosen_of(names, errors)
 
 
 def chosen_of(
