@@ -25,8 +25,8 @@ from asia.problem.symmetry import Symmetry
 # records, as a user would.
 
 
-LINEAR = "linear"
-"""Variant of a candidate that is the linear model, see `asia.search.fair_trial`."""
+LINEAR, PARENT = "linear", "its parent"
+"""Variants of a candidate that are what it begins with, see `asia.search.fair_trial`."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,8 @@ class Trial:
         agent: the proposing agent, "" where the asked agent proposed all
         lowest: with retests, whether its own fit was the best so far
         order: states that the fits report, median over the folds; None where they report none
-        variant: variant that was scored in its place, `LINEAR` for the linear model; "" where it
-            left nothing open
+        variant: variant that was scored in its place, `LINEAR` and `PARENT` for what it began with;
+            "" where it left nothing open
     """
 
     number: int

@@ -88,7 +88,7 @@ def decide(
     is neither kept nor handed over. tried: where its first fit was made before; store: artifacts of
     the search."""
     if tried is None:
-        tried = first_fit(evaluator, source, view, proposed)
+        tried = first_fit(evaluator, source, view, proposed, store)
     source, evaluation = tried.source, tried.evaluation
     scores, outcome = evaluation.validation_scores, evaluation.outcome
     if isinstance(outcome, Failure):

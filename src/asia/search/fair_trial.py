@@ -1,17 +1,17 @@
 """Fair trial of a candidate: what its recipe leaves open is chosen before it is scored.
 
 One unlucky setting must not decide on an idea. The values of the setting that a family declares,
-from stiff to free, and the linear model that it begins with, are fitted to a part of each fold's
-own training records and simulated on the rest, `asia.problem.folds.inner_folds`. One choice is
-made for all folds, from the errors of all of them: the simplest variant whose mean error is within
-one standard error of the least (Breiman, Friedman, Olshen and Stone, Classification and Regression
-Trees, 1984, section 3.4). Its source is the one that is scored, refitted and handed over.
+from stiff to free, and what it begins with, its parent or the linear model, are fitted to a part of
+each fold's own training records and simulated on the rest, `asia.problem.folds.inner_folds`. One
+choice is made for all folds, from the errors of all of them: the simplest variant whose mean error
+is within one standard error of the least (Breiman, Friedman, Olshen and Stone, Classification and
+Regression Trees, 1984, section 3.4). Its source is scored, refitted and handed over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, sqrt
 from statistics import fmean
 
@@ -19,14 +19,18 @@ import numpy as np
 
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
-from asia.agents.view import LINEAR
+from asia.agents.view import LINEAR, PARENT
 from asia.candidate import source_digest
 from asia.errors import Reason
 from asia.judge.evaluation import references
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation
-from asia.ledger.events import Proposed, Variant
-from asia.ledger.view import SearchView
+from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.scoring.outcome import Score
+from asia.ledger.artifacts import Store
+from asia.ledger.events import Evaluated, Landed, Proposed, Variant
+from asia.ledger.evidence import get_findings
+from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Fold
 
 PROPOSED = "as proposed"
 """Variant that is the candidate itself."""
@@ -49,34 +53,78 @@ class Tried:
 
 
 def first_fit(
-    evaluator: Evaluator, source: str, view: SearchView, proposed: Proposed | None = None
+    evaluator: Evaluator,
+    source: str,
+    view: SearchView,
+    proposed: Proposed | None = None,
+    store: Store | None = None,
 ) -> Tried:
     """Choose what a candidate leaves open, then score it on every fold.
 
     Args:
-        view: state of the search, whose reference is the linear variant
+        view: state of the search, with what the candidate begins with
         proposed: record of the proposal; None where it is of no search
+        store: artifacts of the search
     """
     over = None if proposed is None else proposed.over
-    fair = proposed is not None and proposed.fair and not _led(proposed, view)
-    sources = variants_of(source, linear_source(view), fair=fair)
+    fair = proposed is not None and proposed.fair
+    begins = _begins_with(view, proposed, store)
+    sources = variants_of(source, begins, fair=fair)
     variants = compared(evaluator, sources) if sources and evaluator.data.inner_folds else ()
-    chosen = next((v for v in variants if v.chosen), None)
-    if chosen is not None and chosen.name != LINEAR:
-        orders = orders_of(sources[chosen.name])
-        if orders:
-            sources |= orders
-            others = compared(evaluator, orders, {chosen.name: sources[chosen.name]})
-            variants = *(replace(v, chosen=False) for v in variants if v is not chosen), *others
+    if any(v.chosen and v.name not in begins for v in variants):
+        finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
+        if finer.keys() - sources.keys():
+            sources, variants = finer, compared(evaluator, finer)
     source = next((sources[v.name] for v in variants if v.chosen), source)
+    parent = _parent(view, proposed)
+    if begins.get(PARENT) == source and parent is not None and parent.result and store is not None:
+        return Tried(source, evaluation_of(parent.result, evaluator.data.folds, store), variants)
     return Tried(source, evaluator.evaluate(source, over=over), variants)
 
 
-def _led(proposed: Proposed, view: SearchView) -> bool:
-    """Whether its parent is better than the linear model, so that it need not be compared again."""
-    parent = None if proposed.parent is None else view.experiment(proposed.parent).value
-    linear = view.reference_value(references.LINEAR_REFERENCE)
-    return parent is not None and linear is not None and parent < linear
+def evaluation_of(landed: Landed | Evaluated, folds: Sequence[Fold], store: Store) -> Evaluation:
+    """The evaluation that was kept; folds: those of the problem. Raises UserError where an artifact
+    is missing."""
+    results: list[FoldResult] = []
+    if isinstance(landed.outcome, Score):
+        for score, kept, fold in zip(landed.outcome.folds, landed.folds, folds, strict=True):
+            results.append(
+                FoldResult(
+                    score=score,
+                    model=store.get(kept.model),
+                    y_hat=store.get_arrays(kept.y_hat, fold.shapes),
+                    curve=np.frombuffer(store.get(kept.curve), "<f8").reshape(-1, 2),
+                    diagnostics=kept.diagnostics,
+                    seconds=kept.fit_seconds,
+                    validation_scores=kept.validation_scores,
+                    findings=get_findings(store, kept.findings) if kept.findings else None,
+                    machine=kept.machine,
+                    isolation=kept.isolation,
+                )
+            )
+    output = store.text(landed.output) if landed.output else ""
+    return Evaluation(
+        landed.outcome, tuple(results), output, landed.validation_scores, landed.ended_folds
+    )
+
+
+def _begins_with(
+    view: SearchView, proposed: Proposed | None, store: Store | None
+) -> dict[str, str]:
+    """The simplest variant of a candidate: its parent where this is better than the linear model,
+    else the linear model; {} where there is neither."""
+    parent, linear = _parent(view, proposed), view.reference_value(references.LINEAR_REFERENCE)
+    value = None if parent is None else parent.value
+    leads = value is not None and (linear is None or value < linear)
+    if leads and parent is not None and store is not None:
+        return {PARENT: store.text(parent.source)}
+    source = linear_source(view)
+    return {} if source is None else {LINEAR: source}
+
+
+def _parent(view: SearchView, proposed: Proposed | None) -> Experiment | None:
+    number = None if proposed is None else proposed.parent
+    return None if number is None else view.experiment(number)
 
 
 def linear_source(view: SearchView) -> str | None:
@@ -87,51 +135,56 @@ def linear_source(view: SearchView) -> str | None:
     return next(r.source or references.LINEAR for r in view.references if r.name == name)
 
 
-def variants_of(source: str, linear: str | None, *, fair: bool = False) -> dict[str, str]:
+def variants_of(
+    source: str,
+    begins: Mapping[str, str],
+    *,
+    fair: bool = False,
+    values: Sequence[float] | None = None,
+) -> dict[str, str]:
     """Sources of the variants of a candidate, by name, from simple to free; none where it leaves
     nothing open, or is no recipe of the library.
 
     Args:
-        linear: source of the linear model, the simplest variant of all families but those that
-            are built on equations
-        fair: whether it is compared with the linear model even if it leaves nothing open
+        begins: the simplest variant, of all families but those that are built on equations
+        fair: whether it is compared with that even if it leaves nothing open
+        values: of the path, None for those of the family
     """
     recipe = read_recipe(source)
     row = None if recipe is None else family(recipe.family)
     if recipe is None or row is None:
         return {}
-    found = {} if linear is None or row.kind == "equations" else {LINEAR: linear}
+    found = {} if row.kind == "equations" else dict(begins)
     if row.path is None or not row.path.is_open(recipe):
-        own = linear is not None and source_digest(linear) == source_digest(source)
+        own = any(source_digest(one) == source_digest(source) for one in begins.values())
         return {**found, PROPOSED: source} if fair and found and not own else {}
-    for value in row.path.values:
+    for value in row.path.values if values is None else values:
         title = f"{row.path.name} {value:g}"
         found[title] = recipe.configured(**{row.path.name: value}).source(f"{row.label}, {title}")
     return found
 
 
-def orders_of(source: str) -> dict[str, str]:
-    """Sources of a chosen variant with the numbers of states of its family, from simple to free;
-    none where it states the number."""
+def finer_path(source: str, variants: Sequence[Variant]) -> tuple[float, ...]:
+    """Values of the path that were compared, and one midway between the best and the better one
+    beside it."""
     recipe = read_recipe(source)
     row = None if recipe is None else family(recipe.family)
-    if recipe is None or row is None or recipe.get("order"):
-        return {}
-    return {
-        f"order {n}": recipe.configured(order=n).source(f"{row.label}, order {n}")
-        for n in row.orders
-    }
+    if row is None or row.path is None:
+        return ()
+    errors = {v.name: inf if v.error is None else v.error for v in variants}
+    titles = {value: f"{row.path.name} {value:g}" for value in row.path.values}
+    values = [value for value in row.path.values if titles[value] in errors]
+    ranked = sorted(range(len(values)), key=lambda i: errors[titles[values[i]]])
+    beside = [i for i in ranked if abs(i - ranked[0]) == 1] if ranked else []
+    if not beside:
+        return tuple(values)
+    middle = float(f"{sqrt(values[ranked[0]] * values[beside[0]]):.0e}")
+    return tuple(sorted((*values, middle), reverse=True))
 
 
-def compared(
-    evaluator: Evaluator, sources: Mapping[str, str], chosen: Mapping[str, str] | None = None
-) -> tuple[Variant, ...]:
+def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant, ...]:
     """Fit variants on the inner folds, from simple to free until their error rose twice, and choose
-    one.
-
-    Args:
-        chosen: what was chosen before, as the last variant
-    """
+    one."""
     errors: list[tuple[float, ...] | Reason] = []
     means, rises = list[float](), 0
     for source in sources.values():
@@ -140,11 +193,7 @@ def compared(
         rises += len(means) > 1 and means[-1] >= means[-2]
         if rises == 2:
             break
-    names = list(sources)[: len(errors)]
-    for name, source in (chosen or {}).items():
-        names.append(name)
-        errors.append(evaluator.inner_errors(source))
-    return chosen_of(names, errors)
+    return chosen_of(list(sources)[: len(errors)], errors)
 
 
 def chosen_of(

@@ -9,8 +9,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-import numpy as np
-
 from asia._timer import Lane
 from asia.agents.relay import RelayAgent
 from asia.agents.view import Agent, proposes_ahead
@@ -18,15 +16,13 @@ from asia.errors import UserError
 from asia.judge.evaluation.background import BackgroundJob, JobSettings
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, FoldResult
-from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import FoldEvidence, Landed, Proposed
-from asia.ledger.evidence import get_findings, put_findings
+from asia.ledger.evidence import put_findings
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
 from asia.problem.protocol import ProtocolRule
-from asia.search.fair_trial import Tried, first_fit
+from asia.search.fair_trial import Tried, evaluation_of, first_fit
 
 
 def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:
@@ -93,32 +89,6 @@ def keep_source(store: Store, tried: Tried, proposed: Proposed) -> str | None:
     """Store the variant that was scored as an artifact; return None for the proposed source."""
     name = store.put(tried.source.encode())
     return None if name == proposed.source else name
-
-
-def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evaluation:
-    """The evaluation that was kept; folds: those of the problem. Raises UserError where an artifact
-    is missing."""
-    results: list[FoldResult] = []
-    if isinstance(landed.outcome, Score):
-        for score, kept, fold in zip(landed.outcome.folds, landed.folds, folds, strict=True):
-            results.append(
-                FoldResult(
-                    score=score,
-                    model=store.get(kept.model),
-                    y_hat=store.get_arrays(kept.y_hat, fold.shapes),
-                    curve=np.frombuffer(store.get(kept.curve), "<f8").reshape(-1, 2),
-                    diagnostics=kept.diagnostics,
-                    seconds=kept.fit_seconds,
-                    validation_scores=kept.validation_scores,
-                    findings=get_findings(store, kept.findings) if kept.findings else None,
-                    machine=kept.machine,
-                    isolation=kept.isolation,
-                )
-            )
-    output = store.text(landed.output) if landed.output else ""
-    return Evaluation(
-        landed.outcome, tuple(results), output, landed.validation_scores, landed.ended_folds
-    )
 
 
 # First fits that run while others are proposed and decided, a thread each. A first fit depends on
@@ -194,7 +164,7 @@ class PendingFits:
         source = self._store.text(proposed.source)
         begin = time.monotonic()
         with self._evaluator.workers.stopwatch.aside() as lane:
-            tried = first_fit(self._evaluator, source, view, proposed)
+            tried = first_fit(self._evaluator, source, view, proposed, self._store)
         evaluation = tried.evaluation
         seconds = time.monotonic() - begin
         self._on_landed(

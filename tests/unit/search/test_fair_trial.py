@@ -31,11 +31,12 @@ from asia.search.simulation import simulated_excerpts
 from .toy import arx, search_toy
 
 LM = "LevenbergMarquardt", (("iterations", 5), ("starts", 1))
+BEGUN = {"linear": LINEAR}
 OPEN = Recipe("neural_ss", (("hidden", 2),), *LM)
 
 
 def test_variants_go_from_the_linear_model_to_the_freest_setting() -> None:
-    found = variants_of(OPEN.source(""), LINEAR)
+    found = variants_of(OPEN.source(""), BEGUN)
     assert list(found) == ["linear", "ridge 0.1", "ridge 0.001", "ridge 1e-05"]
     assert found["linear"] == LINEAR
     recipe = read_recipe(found["ridge 0.001"])
@@ -48,22 +49,22 @@ def test_variants_go_from_the_linear_model_to_the_freest_setting() -> None:
     [OPEN.configured(ridge=1e-4).source(""), LINEAR, arx(2), "def fit(:", "x = 1\n"],
 )
 def test_what_is_stated_or_not_of_the_library_stays(source: str) -> None:
-    assert variants_of(source, LINEAR) == {}
+    assert variants_of(source, BEGUN) == {}
 
 
 def test_a_model_built_on_equations_is_not_exchanged_for_a_linear_one() -> None:
     row = family("hybrid")
     assert row is not None
     assert row.kind == "equations"
-    assert "linear" not in variants_of(Recipe("hybrid", (("units", 4),), *LM).source(""), LINEAR)
+    assert "linear" not in variants_of(Recipe("hybrid", (("units", 4),), *LM).source(""), BEGUN)
 
 
 def test_a_fair_trial_of_any_other_model_is_against_the_linear_one() -> None:
     network = Recipe("ltc", (("units", 4),), "Adam", (("steps", 10),)).source("")
-    assert variants_of(network, LINEAR, fair=True) == {"linear": LINEAR, PROPOSED: network}
-    assert variants_of(network, None, fair=True) == {}
+    assert variants_of(network, BEGUN, fair=True) == {"linear": LINEAR, PROPOSED: network}
+    assert variants_of(network, {}, fair=True) == {}
     for source in (LINEAR, arx(2), Recipe("greybox", (), *LM).source("")):
-        assert variants_of(source, LINEAR, fair=True) == {}
+        assert variants_of(source, BEGUN, fair=True) == {}
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_inner_folds_are_there_where_they_can_be_used(
 
 
 def test_paths_go_from_stiff_to_free() -> None:
-    paths = [row.path[1] for row in all_families() if row.path is not None]
+    paths = [row.path.values for row in all_families() if row.path is not None]
     assert paths
     assert all(list(values) == sorted(values, reverse=True) for values in paths)
 
@@ -131,7 +132,7 @@ def test_a_failed_variant_is_never_chosen() -> None:
 def test_a_path_ends_where_the_error_rose_twice(
     errors: Sequence[float | None], tried: int, chosen: str | None
 ) -> None:
-    sources = variants_of(OPEN.source(""), LINEAR)
+    sources = variants_of(OPEN.source(""), BEGUN)
     known = dict(zip(sources.values(), errors, strict=True))
 
     def inner_errors(source: str) -> tuple[float, ...] | Reason:
@@ -146,7 +147,7 @@ def test_a_path_ends_where_the_error_rose_twice(
 @pytest.mark.slow
 def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
     # The third is what the second one chooses.
-    stated = variants_of(OPEN.source(""), None)["ridge 0.001"]
+    stated = variants_of(OPEN.source(""), {})["ridge 0.001"]
     directory = search_toy(tmp_path, OPEN.source(""), stated)
     run = open_run(directory)
     _, opened, fixed = run.view.experiments

@@ -42,6 +42,7 @@ from asia.agents.library.registry import families, family
 from asia.agents.library.traits import traits
 from asia.agents.view import (
     LINEAR,
+    PARENT,
     AgentStoppedError,
     AgentView,
     Proposal,
@@ -265,8 +266,8 @@ def situations(view: AgentView) -> Iterator[Situation]:
     failed = [trial for trial in reversed(view.trials) if trial.value is None]
     chosen: dict[str, tuple[Trial, Recipe]] = {}
     for trial in (*view.ranked, *failed):
-        # Where the linear model was as good, nothing is known of the family.
-        recipe = None if trial.variant == LINEAR else read_recipe(trial.source)
+        # Where what it began with was as good, nothing else was scored.
+        recipe = None if trial.variant in (LINEAR, PARENT) else read_recipe(trial.source)
         if recipe is not None and recipe.family not in chosen:
             chosen[recipe.family] = trial, recipe
     for place, (trial, recipe) in enumerate(chosen.values()):

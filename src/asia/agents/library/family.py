@@ -111,9 +111,6 @@ class Family:
     path: Path | None = None
     """Setting of the model that decides how far it may go from its start; None for a family
     without."""
-    orders: tuple[int, ...] = ()
-    """Numbers of states that are compared with that of the linear model, where a recipe leaves
-    `order` open."""
     longer: Callable[[Facts], Recipe] | None = None
     """The first configuration with a long fit; None where the first fit is cheap anyway."""
     points: tuple[tuple[Trait, float], ...] = ()

@@ -247,7 +247,6 @@ CARD = Card(
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
             path=Path("ridge", (1e-1, 1e-3, 1e-5)),
-            orders=(2, 3, 4, 6, 8),
             timing=Timing(start=1.6, unit=2.1e-06),
         ),
     ),
