@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -12,23 +13,33 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from asia.agents import AgentView, Proposal
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import all_families, family
 from asia.data import Trajectory
 from asia.errors import Reason
 from asia.interfaces.cli.show import describe, wide_console
-from asia.judge.evaluation import references
 from asia.judge.evaluation.evaluator import EvaluationData
 from asia.judge.evaluation.references import LINEAR
+from asia.ledger.events import Variant
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.folds import make_folds
+from asia.problem.load import load_problem
 from asia.problem.protocol import EarlyStopping, FoldRule, ProtocolRule
-from asia.search.fair_trial import PROPOSED, Tried, chosen_of, compared, variants_of
+from asia.search.fair_trial import (
+    PROPOSED,
+    Tried,
+    chosen_of,
+    compared,
+    finer_path,
+    variants_of,
+)
 from asia.search.replay import replay_run
+from asia.search.run import prepare, search
 from asia.search.simulation import simulated_excerpts
 
-from .toy import arx, search_toy
+from .toy import arx, search_toy, write_problem
 
 LM = "LevenbergMarquardt", (("iterations", 5), ("starts", 1))
 BEGUN = {"linear": LINEAR}
@@ -147,17 +158,17 @@ def test_a_path_ends_where_the_error_rose_twice(
 @pytest.mark.slow
 def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
     # The third is what the second one chooses.
-    stated = variants_of(OPEN.source(""), {})["ridge 0.001"]
+    stated = variants_of(OPEN.source(""), {}, values=(1e-2,))["ridge 0.01"]
     directory = search_toy(tmp_path, OPEN.source(""), stated)
     run = open_run(directory)
     _, opened, fixed = run.view.experiments
     assert opened.result is not None
     assert fixed.result is not None
-    sources = variants_of(OPEN.source(""), references.LINEAR)
     (chosen,) = (one.name for one in opened.result.variants if one.chosen)
-    tried = [one.name for one in opened.result.variants]
-    assert tried == list(sources)[: len(tried)]
-    assert run.store.text(opened.source) == sources[chosen]
+    assert opened.result.variants[0].name == "linear"
+    recipe = read_recipe(run.store.text(opened.source))
+    assert recipe is not None
+    assert chosen == f"ridge {recipe.get('ridge'):g}"
     assert run.store.text(opened.proposed.source) == OPEN.source("")
     assert fixed.result.variants == ()
     assert fixed.source == fixed.proposed.source
@@ -176,3 +187,49 @@ def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
     verify(directory)
     assert simulated_excerpts(run, opened.number) is not None
     assert replay_run(directory, lambda item: None).agrees
+
+
+@dataclass(frozen=True)
+class Refining:
+    """Proposes a model, then changes to it that are compared with it."""
+
+    changes: tuple[str, ...]
+    name: str = "refining"
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        index = len(view.trials) - 1
+        parent = None if index == 0 else 2
+        if index == len(self.changes):
+            return None
+        source = self.changes[index]
+        return Proposal(source, "x", f"number {index}", "", "", parent=parent, fair=True)
+
+
+@pytest.mark.slow
+def test_a_move_that_gains_nothing_ends_in_its_parent_without_a_fit(tmp_path: Path) -> None:
+    problem = write_problem(tmp_path / "toy", experiments=3)
+    stated = Recipe("neural_ss", (("hidden", 2), ("ridge", 1e-3)), *LM)
+    sources = stated.source(""), stated.configured(ridge=1e5).source("")
+    ready = prepare(load_problem(problem), "refining", seed=0, runs=tmp_path / "runs")
+    search(ready, Refining(sources), lambda event, view: None, lambda view: None)
+    run = open_run(ready.directory)
+    _, parent, move = run.view.experiments
+    assert move.result is not None
+    assert parent.result is not None
+    assert [(one.name, one.chosen) for one in move.result.variants] == [
+        ("its parent", True),
+        (PROPOSED, False),
+    ]
+    assert move.source == parent.source
+    assert move.score == parent.score
+    assert move.result.folds == parent.result.folds
+    verify(ready.directory)
+    assert replay_run(ready.directory, lambda item: None).agrees
+
+
+def test_a_path_gets_the_value_between_its_best_ones() -> None:
+    errors = {"linear": 0.43, "ridge 0.1": 0.127, "ridge 0.001": 0.098, "ridge 1e-05": 0.16}
+    variants = [Variant(name, error) for name, error in errors.items()]
+    assert finer_path(OPEN.source(""), variants) == (0.1, 0.01, 1e-3, 1e-5)
+    assert finer_path(OPEN.source(""), variants[:2]) == (0.1,)
+    assert finer_path(OPEN.source(""), [variants[0], *variants[2:]]) == (1e-3, 1e-4, 1e-5)
