@@ -95,6 +95,8 @@ def decide(
         status = outcome.reason.status
         timed_out = status == "timeout"
         return Decision(tried, status, deadline=timed_out, validation_scores=scores)
+    if any(v.chosen and v.name == PARENT for v in tried.variants):
+        return Decision(tried, "discard", validation_scores=scores)
     folds, objected, confirmation = evaluation.folds, None, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
