@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from statistics import fmean, stdev
 
+from asia.agents.view import PARENT
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.evaluation.results import Evaluation, FoldResult, same_simulations
