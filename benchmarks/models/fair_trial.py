@@ -70,7 +70,7 @@ def rows(system: Path, families: Sequence[str]) -> list[tuple[float, float, floa
             free = evaluator.evaluate(list(sources.values())[-1])
             between = time.monotonic()
             tried = compared(evaluator, sources)
-            if any(v.chosen and v.name not in begins for v in tried):
+            if any(v.error and v.behind <= v.deviation and v.name not in begins for v in tried):
                 sources = variants_of(source, begins, values=finer_path(source, tried))
                 tried = compared(evaluator, sources)
             chosen = next((v.name for v in tried if v.chosen), list(sources)[-1])

@@ -71,7 +71,7 @@ def first_fit(
     begins = _begins_with(view, proposed, store)
     sources = variants_of(source, begins, fair=fair)
     variants = compared(evaluator, sources) if sources and evaluator.data.inner_folds else ()
-    if any(v.chosen and v.name not in begins for v in variants):
+    if any(v.error and v.behind <= v.deviation and v.name not in begins for v in variants):
         finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
         if finer.keys() - sources.keys():
             sources, variants = finer, compared(evaluator, finer)

@@ -159,6 +159,8 @@ def _first_new(options: Iterable[Option]) -> Proposal | None:
 def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, maps = {t.family for t in view.proposed}, dict(leading_maps(view))
+    if view.linear is not None:
+        used.add("linear")  # The best linear model is scored in every search.
     for row in families(view.facts):
         if row.name in used:
             continue
