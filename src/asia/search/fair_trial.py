@@ -11,7 +11,7 @@ Regression Trees, 1984, section 3.4). Its source is scored, refitted and handed 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 from statistics import fmean
 
@@ -75,6 +75,8 @@ def first_fit(
         finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
         if finer.keys() - sources.keys():
             sources, variants = finer, compared(evaluator, finer)
+    if PARENT in begins:
+        variants = undecided(variants)
     source = next((sources[v.name] for v in variants if v.chosen), source)
     parent = _parent(view, proposed)
     if begins.get(PARENT) == source and parent is not None and parent.result and store is not None:
@@ -194,6 +196,16 @@ def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant,
         if rises == 2:
             break
     return chosen_of(list(sources)[: len(errors)], errors)
+
+
+def undecided(variants: Sequence[Variant]) -> tuple[Variant, ...]:
+    """Choose the simplest change that is not behind its parent by more than one standard error, if
+    there is one: what inner parts leave open, the folds decide."""
+    near = (v for v in variants if v.error and v.behind <= v.deviation and v.name != PARENT)
+    simplest = next(near, None)
+    if simplest is None:
+        return tuple(variants)
+    return tuple(replace(v, chosen=v is simplest) for v in variants)
 
 
 def chosen_of(
