@@ -33,6 +33,7 @@ from asia.search.fair_trial import (
     chosen_of,
     compared,
     finer_path,
+    undecided,
     variants_of,
 )
 from asia.search.replay import replay_run
@@ -233,3 +234,10 @@ def test_a_path_gets_the_value_between_its_best_ones() -> None:
     assert finer_path(OPEN.source(""), variants) == (0.1, 0.01, 1e-3, 1e-5)
     assert finer_path(OPEN.source(""), variants[:2]) == (0.1,)
     assert finer_path(OPEN.source(""), [variants[0], *variants[2:]]) == (1e-3, 1e-4, 1e-5)
+
+
+def test_a_move_that_inner_parts_leave_undecided_is_scored() -> None:
+    parent = Variant("its parent", 0.0799, "", 0.0, 0.0, chosen=True)
+    far, near = Variant("ridge 0.1", 0.24, "", 0.16, 0.01), Variant("x", 0.082, "", 0.002, 0.004)
+    assert [v.chosen for v in undecided([parent, far, near])] == [False, False, True]
+    assert [v.chosen for v in undecided([parent, far])] == [True, False]
