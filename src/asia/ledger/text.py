@@ -438,7 +438,8 @@ def variant_lines(variants: Sequence[Variant]) -> Iterator[str]:
         return
     yield (
         "variants by their error on inner held-out parts of the training records, all folds "
-        "together; the first one within a standard error of the best was scored"
+        "together; the first one within a standard error of the best was scored, a parent only "
+        "where no other one is"
     )
     width = max(len(one.name) for one in variants)
     for one in variants:
