@@ -34,7 +34,7 @@ CARD = Card(
     moves=(
         Move(
             name="longer response",
-            weight=lambda case: 0.5 * (case.recipe.number("taps", 0) < 150),
+            evidence=lambda case: case.recipe.number("taps", 0) < 150,
             change=lambda case: case.recipe.times("taps", 2.0, 40),
             hypothesis="The response is longer than the taps.",
             expected="Lower error on every fold.",
