@@ -72,7 +72,7 @@ def rows(system: Path, families: Sequence[str]) -> list[tuple[float, float, floa
             tried = compared(evaluator, sources)
             if any(v.error and v.behind <= v.deviation and v.name not in begins for v in tried):
                 sources = variants_of(source, begins, values=finer_path(source, tried))
-                tried = compared(evaluator, sources)
+                tried = compared(evaluator, sources, whole=True)
             chosen = next((v.name for v in tried if v.chosen), list(sources)[-1])
             fair = evaluator.evaluate(sources[chosen])
             seconds = time.monotonic() - between, between - begun

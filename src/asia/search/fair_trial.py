@@ -74,7 +74,7 @@ def first_fit(
     if any(v.error and v.behind <= v.deviation and v.name not in begins for v in variants):
         finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
         if finer.keys() - sources.keys():
-            sources, variants = finer, compared(evaluator, finer)
+            sources, variants = finer, compared(evaluator, finer, whole=True)
     if PARENT in begins:
         variants = undecided(variants)
     source = next((sources[v.name] for v in variants if v.chosen), source)
@@ -184,16 +184,22 @@ def finer_path(source: str, variants: Sequence[Variant]) -> tuple[float, ...]:
     return tuple(sorted((*values, middle), reverse=True))
 
 
-def compared(evaluator: Evaluator, sources: Mapping[str, str]) -> tuple[Variant, ...]:
+def compared(
+    evaluator: Evaluator, sources: Mapping[str, str], *, whole: bool = False
+) -> tuple[Variant, ...]:
     """Fit variants on the inner folds, from simple to free until their error rose twice, and choose
-    one."""
+    one.
+
+    Args:
+        whole: whether all are fitted
+    """
     errors: list[tuple[float, ...] | Reason] = []
     means, rises = list[float](), 0
     for source in sources.values():
         errors.append(evaluator.inner_errors(source))
         means.append(inf if isinstance(errors[-1], Reason) else fmean(errors[-1]))
         rises += len(means) > 1 and means[-1] >= means[-2]
-        if rises == 2:
+        if rises == 2 and not whole:
             break
     return chosen_of(list(sources)[: len(errors)], errors)
 
