@@ -32,7 +32,8 @@ def test_same_command_again_prints_the_result(searched: Searched, asia: Asia) ->
     done = asia("run", searched.problem, "--agent", "random", "--experiments", 1,
                 "--runs", searched.runs)  # fmt: skip
     assert done.code == 0, done.err
-    assert done.err == ""
+    # A slow machine shows its progress.
+    assert all(line.startswith("run: ") for line in done.err.splitlines())
     lines = done.out.splitlines()
     assert lines[0].startswith("ASIA ")
     assert any(line.startswith("#01 keep") and "| best #01" in line for line in lines)
