@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from asia.agents import Agent, AgentView, Facts, Proposal, Trial
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.view import Effort
 from asia.candidate import source_digest
@@ -90,6 +91,13 @@ def view(
         facts, seed, phase, trials, remaining,  # type: ignore[arg-type]
         lambda source: source_digest(source) in tried,
     )  # fmt: skip
+
+
+def following(known: Facts, trials: tuple[Trial, ...], phase: str = "refine") -> Proposal:
+    """What the expert proposes after these trials."""
+    proposal = ExpertAgent().propose(view(known, trials, phase))
+    assert proposal is not None
+    return proposal
 
 
 def by_luck(proposal: Proposal, number: int) -> Trial:

@@ -23,6 +23,7 @@ from tests.unit.agents.records.test_relation import closed_loop, lagged
 from tests.unit.agents.searches import (
     CLEAN,
     body,
+    following,
     recipe_of,
     search,
     simulation,
@@ -42,12 +43,6 @@ def climb(known: Facts, values: dict[str, float], rest: float = 0.9) -> tuple[Tr
         if proposal is None or proposal.family in {t.family for t in trials}:
             return trials
         trials = (*trials, trial(proposal, len(trials) + 1, values.get(proposal.family, rest)))
-
-
-def following(known: Facts, trials: tuple[Trial, ...], phase: str = "refine") -> Proposal:
-    proposal = AGENT().propose(view(known, trials, phase))
-    assert proposal is not None
-    return proposal
 
 
 def test_the_ladder_tries_each_family_once_and_physics_first() -> None:

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from asia.agents import Facts, Proposal, Trial
+from asia.agents import Facts, Trial
 from asia.agents.expert.agent import ExpertAgent, carried, effects
 from asia.agents.library.move import plain_title
 from asia.agents.view import LINEAR
 from tests.unit.agents.searches import (
     CLEAN,
+    following,
     recipe_of,
     search,
     simulation,
@@ -17,12 +18,6 @@ from tests.unit.agents.searches import (
     view,
     windows,
 )
-
-
-def following(known: Facts, trials: tuple[Trial, ...], phase: str = "refine") -> Proposal:
-    proposal = ExpertAgent().propose(view(known, trials, phase))
-    assert proposal is not None
-    return proposal
 
 
 def begun(known: Facts, **values: float) -> tuple[Trial, ...]:
