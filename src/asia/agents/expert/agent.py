@@ -4,9 +4,9 @@
    in the order of their aptness, for the first part of the budget. An effect that explains more
    than a third of the residual of the best candidate interrupts it.
 2. Effects are added to the best candidate, by the share of the residual that they explain. One that
-   does not help is struck out for this candidate.
+   did not help comes after all that were not tried.
 3. The best candidate of another family is carried on as well while its error over the folds is
-   within one standard error of the best.
+   within one standard error of the best. An effect that the records show is tried on any family.
 4. Where nothing points at an effect, or two in a row did not help, the next family of the ladder
    gets its trial. Effects that nothing points at come last.
 
@@ -217,9 +217,9 @@ def effects(view: AgentView) -> Iterator[Option]:
         for move in all_moves():
             evidence = int(move.evidence(at)) if move.applies(at) else 0
             behind = at.row.name not in kept and evidence < SHOWN
-            if (lost and not keeps_course(move)) or (behind and at.row.doubtful(view.facts)):
+            if not evidence or (lost and not keeps_course(move)):
                 continue
-            if not evidence:
+            if behind and at.row.doubtful(view.facts):
                 continue
             title = move.title(at)
             tries = sum(_without_gain(t) for t in view.proposed if plain_title(t.title) == title)

@@ -43,8 +43,7 @@ GENERAL_MOVES: tuple[Move, ...] = (
             LIKELY * (c.recipe.number("steps", 0) < c.row.full(c.facts).number("steps", 0))
         ),
         change=_in_full,
-        hypothesis="The short trial is within one standard error of the best, which justifies a "
-        "long fit.",
+        hypothesis="The first fit of a network is short and may not have converged.",
         expected="Lower training error, V follows.",
     ),
     Move(

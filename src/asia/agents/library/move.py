@@ -10,8 +10,8 @@ from asia.agents.library.recipe import Recipe
 from asia.agents.view import AgentView, Facts, Trial
 
 POSSIBLE, LIKELY, SHOWN = 1, 2, 3
-"""What is known of an effect before it is tried: it can be added to the model; the residual, or the
-form of the model, points at it; the records show it."""
+"""Evidence for an effect. POSSIBLE: the model can have it. LIKELY: the residual or the form of the
+model points at it. SHOWN: the records show it."""
 
 
 @dataclass(frozen=True)
