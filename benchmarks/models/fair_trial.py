@@ -29,7 +29,7 @@ from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import prepared
 from asia.search.agent_views import problem_facts
-from asia.search.fair_trial import compared, finer_path, variants_of
+from asia.search.fair_trial import choice, variants_of
 
 SYSTEMS = "heating,hairdryer,dryer2,cd_arm"
 FAMILIES = "neural_ss,nl_lfr,block_oriented"
@@ -69,10 +69,7 @@ def rows(system: Path, families: Sequence[str]) -> list[tuple[float, float, floa
             begun = time.monotonic()
             free = evaluator.evaluate(list(sources.values())[-1])
             between = time.monotonic()
-            tried = compared(evaluator, sources)
-            if any(v.error and v.behind <= v.deviation and v.name not in begins for v in tried):
-                sources = variants_of(source, begins, values=finer_path(source, tried))
-                tried = compared(evaluator, sources, whole=True)
+            sources, tried = choice(evaluator, source, begins)
             chosen = next((v.name for v in tried if v.chosen), list(sources)[-1])
             fair = evaluator.evaluate(sources[chosen])
             seconds = time.monotonic() - between, between - begun

@@ -69,19 +69,26 @@ def first_fit(
     over = None if proposed is None else proposed.over
     fair = proposed is not None and proposed.fair
     begins = _begins_with(view, proposed, store)
+    sources, variants = choice(evaluator, source, begins, fair=fair)
+    source = next((sources[v.name] for v in variants if v.chosen), source)
+    parent = _parent(view, proposed)
+    if begins.get(PARENT) == source and parent is not None and parent.result and store is not None:
+        return Tried(source, evaluation_of(parent.result, evaluator.data.folds, store), variants)
+    return Tried(source, evaluator.evaluate(source, over=over), variants)
+
+
+def choice(
+    evaluator: Evaluator, source: str, begins: Mapping[str, str], *, fair: bool = False
+) -> tuple[dict[str, str], tuple[Variant, ...]]:
+    """Sources of the variants of a candidate, and their comparison; the arguments as for
+    `variants_of`."""
     sources = variants_of(source, begins, fair=fair)
     variants = compared(evaluator, sources) if sources and evaluator.data.inner_folds else ()
     if any(v.error and v.behind <= v.deviation and v.name not in begins for v in variants):
         finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
         if finer.keys() - sources.keys():
             sources, variants = finer, compared(evaluator, finer, whole=True)
-    if PARENT in begins:
-        variants = undecided(variants)
-    source = next((sources[v.name] for v in variants if v.chosen), source)
-    parent = _parent(view, proposed)
-    if begins.get(PARENT) == source and parent is not None and parent.result and store is not None:
-        return Tried(source, evaluation_of(parent.result, evaluator.data.folds, store), variants)
-    return Tried(source, evaluator.evaluate(source, over=over), variants)
+    return sources, undecided(variants) if PARENT in begins else variants
 
 
 def evaluation_of(landed: Landed | Evaluated, folds: Sequence[Fold], store: Store) -> Evaluation:
