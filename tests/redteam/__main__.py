@@ -166,6 +166,7 @@ def _one_interrupt() -> Generator[None]:
     def end(number: int, frame: FrameType | None) -> None:
         for one in before:
             signal.signal(one, lambda number, frame: None)
+        before.clear()  # the process ends, and a thread may still tidy up after `main`
         print("ending: waiting for the attack that runs", file=sys.stderr, flush=True)
         sys.exit(128 + number)
 
