@@ -27,22 +27,12 @@ from asia.search.replay import replay_run
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 DIGEST = "0" * 64
-LUCKY = """
-import numpy as np
-
-
-class Model:
-    def __init__(self, gain):
-        self.gain = gain
-
-    def simulate(self, past_u, past_y, u):
-        return self.gain * u
-
-
-def fit(trajectories, context):
-    # candidate {number}
-    return Model(0.3 + 0.1 * np.random.default_rng([context.seed, {number}]).normal())
-"""
+LUCKY = arx(2).replace(
+    "    context.log(1, float(n))",
+    """    # candidate {number}
+    luck = np.random.default_rng([context.seed, {number}])
+    weights = weights * (1.0 + 0.002 * luck.normal(size=weights.shape))""",
+)
 
 
 class Fits(Evaluator):
@@ -201,8 +191,8 @@ def test_the_threshold_is_told_once_it_is_known() -> None:
 def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) -> None:
     """Candidates that differ in luck alone, in a real search: a lower V is not kept."""
     problem = write_problem(tmp_path / "toy", retests=2)
-    (problem / "baseline.py").write_text(LUCKY.replace("{number}", "0"))
-    agent = Scripted(tuple(LUCKY.replace("{number}", str(n)) for n in (1, 2, 3)))
+    (problem / "baseline.py").write_text(LUCKY.replace("{number}", "3"))
+    agent = Scripted(tuple(LUCKY.replace("{number}", str(n)) for n in (0, 1, 2)))
     run = asia.run(problem, agent=agent, runs=tmp_path / "runs", experiments=4)
     results = [e.result for e in run.view.finished if e.result]
     assert run.view.started.retests == 2
