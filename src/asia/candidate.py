@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -39,8 +39,8 @@ def _no_log(step: float, loss: float) -> None:
 
 
 @dataclass(frozen=True)
-class Context:
-    """Everything that a candidate knows apart from its training trajectories."""
+class KnownSystem:
+    """The system and its protocol, as candidates and agents know them."""
 
     inputs: tuple[Signal, ...]
     """Names and units of the inputs."""
@@ -58,6 +58,38 @@ class Context:
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
     """Equations from the problem file."""
+    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
+    """Changes of the signals that leave the system's laws as they are, by name: for each signal
+    that changes, the one that takes its place, with a minus where its sign changes."""
+    loop: Loop | None = None
+    """Feedback loop of the records, whose `reference` it names; None for open loop."""
+    plant: Plant | None = None
+    """Simulator of the user's own, from the problem file."""
+    control: ControlTask | None = None
+    """Task of a controller; None where a model is fitted."""
+    responses: tuple[FrequencyRecord, ...] = ()
+    """Measured frequency responses, with the channels of the problem."""
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    def known(self) -> dict[str, Any]:
+        """Return the fields of this class by name, for another view of the same system."""
+        return {one.name: getattr(self, one.name) for one in fields(KnownSystem)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context(KnownSystem):
+    """Everything that a candidate knows apart from its training trajectories. In a control problem
+    inputs, outputs and equations are those of the plant to be controlled."""
+
     seed: int = 0
     """Seed for one search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")
@@ -74,34 +106,12 @@ class Context:
     fold_models: Callable[[], Sequence[Model]] = field(default=tuple[()], compare=False)
     """fold_models(): models of the folds, which a refit on all data may start from; () in the fits
     of the folds and where a refit starts anew."""
-    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
-    """Changes of the signals that leave the system's laws as they are, by name: for each signal
-    that changes, the one that takes its place, with a minus where its sign changes."""
     detrend: bool = False
     """Whether the mean over the training records of this fit was subtracted from every signal. The
     model receives signals of this kind and gives such outputs."""
     scale: bool = False
     """Whether every signal was divided by its standard deviation over the training records of this
     fit; the units are then `std`."""
-    loop: Loop | None = None
-    """Feedback loop of the records, whose `reference` it names; None for open loop."""
-    plant: Plant | None = None
-    """Simulator of the user's own, from the problem file."""
-    control: ControlTask | None = None
-    """Task of a controller; None where a model is fitted. Inputs, outputs and equations of the
-    context are then those of the plant to be controlled."""
-    responses: tuple[FrequencyRecord, ...] = ()
-    """Measured frequency responses, with the channels of the problem."""
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return len(self.outputs)
 
 
 class Model(Protocol):

@@ -63,7 +63,7 @@ def cart_context() -> Context:
 def executed(row: Family, **config: Any) -> ModuleType:
     """The candidate that the family is tested with."""
     c = cart_context()
-    facts = Facts("", c.inputs, c.outputs, 0.1, (cart(),), PAST, PAST, c.physics)
+    facts = Facts(**c.known(), records=(cart(),))
     module = ModuleType(row.name)
     exec(row.smallest(facts).configured(**config).source(row.label), module.__dict__)
     return module

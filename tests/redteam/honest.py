@@ -44,19 +44,7 @@ class HonestProblem:
     @property
     def context(self) -> Context:
         """The context that candidates receive."""
-        facts = self.facts
-        return Context(
-            facts.inputs,
-            facts.outputs,
-            facts.sampling_time,
-            facts.past_inputs,
-            facts.past_outputs,
-            facts.horizon,
-            facts.metric,
-            facts.physics,
-            seed=1,
-            symmetry=facts.symmetry,
-        )
+        return Context(**self.facts.known(), seed=1)
 
     @property
     def families(self) -> tuple[Family, ...]:
@@ -101,8 +89,8 @@ def small_drone() -> HonestProblem:
         outputs=(Signal("z", "m"), Signal("vz", "m/s")),
         sampling_time=0.02,
         records=tuple(records),
-        past_inputs=0,
-        past_outputs=1,
+        n_past_u=0,
+        n_past_y=1,
         physics=Physics(
             states=("z", "vz"),
             dynamics={"z": "vz", "vz": "thrust*speed**2 - 9.81 - drag*vz"},

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
-from asia.data.frequency import FrequencyRecord
-from asia.data.trajectory import Signal, Trajectory
+from asia.candidate import KnownSystem
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Event, Exchanged, Phase, Status, StopReason
-from asia.problem.control_task import ControlTask
-from asia.problem.feedback import Loop
 from asia.problem.metrics import TrainingLoss, find_metric
-from asia.problem.physics import Physics
-from asia.problem.plant import Plant
 from asia.problem.protocol import EarlyStopping
-from asia.problem.symmetry import Symmetry
 
 # There is no measured time, no validation residual and no test: an agent decides from V per fold,
 # status, the candidates' logs and training-side residual analysis. It may look at all training
@@ -37,16 +32,14 @@ class Effort:
     fit_seconds: float = 120.0
 
 
-@dataclass(frozen=True)
-class Facts:
+@dataclass(frozen=True, kw_only=True)
+class Facts(KnownSystem):
     """Public facts about the problem.
 
     `records` are the training trajectories; in cross-validation each contains the held-out outputs
     of some fold.
 
     Attributes:
-        past_inputs, past_outputs: samples in the past window
-        horizon: samples of one window, None where whole records are simulated
         notes, strategies: notes from the literature and suggested strategies, in the user's
             words
         groups: names of the records held out together, one tuple a fold, () where folds are cut
@@ -54,28 +47,15 @@ class Facts:
         early_stopping: `validation` lets a fit ask for its score on the held-out part
         ladder: the share of V by which a new best must be better to be reported, None where
             every V is reported
-        symmetry: changes of the signals that leave the system's laws as they are
         terms: computes terms that a linear model lacks, with the place ("at the input", "in the
             dynamics", "at the output") and the share of its residual that each explains, the
             largest first; () where nothing is found
         linear: settings of the best linear model, () for those of the baseline
-        loop: feedback loop in which the records were taken
-        plant: simulator of the user's own
-        control: task of a controller, whose training scenarios are the records
         identification: facts about the plant of a control problem
-        responses: measured frequency responses, which linear models are fitted to as well
     """
 
-    description: str
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-    sampling_time: float
+    description: str = ""
     records: tuple[Trajectory, ...] = field(repr=False)
-    past_inputs: int
-    past_outputs: int
-    physics: Physics | None = None
-    horizon: int | None = None
-    metric: str = "rmse"
     early_stopping: EarlyStopping = "inner"
     folds: int = 2
     groups: tuple[tuple[str, ...], ...] = ()
@@ -83,21 +63,16 @@ class Facts:
     notes: str = ""
     strategies: str = ""
     ladder: float | None = None
-    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     linear: tuple[tuple[str, Any], ...] = ()
     terms: Callable[[], tuple[tuple[str, str, float], ...]] = field(
         default=tuple, compare=False, repr=False
     )
-    loop: Loop | None = None
-    plant: Plant | None = None
-    control: ControlTask | None = None
     identification: Facts | None = None
-    responses: tuple[FrequencyRecord, ...] = ()
 
     @property
     def past(self) -> int:
         """Samples before the first simulated one."""
-        return max(self.past_inputs, self.past_outputs)
+        return max(self.n_past_u, self.n_past_y)
 
     @property
     def loss(self) -> TrainingLoss:

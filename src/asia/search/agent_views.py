@@ -17,7 +17,7 @@ from asia.data.standardise import standardised
 from asia.data.trajectory import Trajectory
 from asia.errors import CandidateError
 from asia.judge.evaluation.error_analysis import MissingTerm, terms_beyond_linear
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.findings import known_system, search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.ledger.artifacts import Store
 from asia.ledger.evidence import RunSettings, evidence_of, findings_of
@@ -31,19 +31,11 @@ CURVE_POINTS = 200
 
 def problem_facts(problem: Problem) -> Facts:
     """The problem as agents may know it, its signals standardised as fits do."""
-    rule, signals = problem.protocol, problem.preprocess.signals
+    rule = problem.protocol
     return Facts(
+        **known_system(problem).known(),
         description=problem.description,
-        inputs=signals(problem.inputs),
-        outputs=signals(problem.outputs),
-        sampling_time=problem.sampling_time,
         records=_standardised(problem),
-        past_inputs=rule.past_inputs,
-        past_outputs=rule.past_outputs,
-        physics=problem.physics,
-        plant=problem.plant,
-        horizon=rule.horizon,
-        metric=rule.metric,
         early_stopping=rule.early_stopping,
         ladder=rule.ladder,
         folds=rule.folds.count,
@@ -51,11 +43,7 @@ def problem_facts(problem: Problem) -> Facts:
         budget=Effort(problem.budget.experiments, problem.budget.fit_seconds),
         notes=problem.notes,
         strategies=problem.strategies,
-        symmetry=problem.symmetry,
-        loop=problem.loop,
-        responses=problem.responses,
         terms=lambda: _terms_beyond_linear(problem),
-        control=problem.control and problem.control.task(),
         identification=problem.control and problem_facts(problem.control.base),
     )
 

@@ -131,8 +131,8 @@ def _problems() -> Iterator[Facts]:
     )
     yield replace(
         _facts(2, 2),
-        past_inputs=0,
-        past_outputs=1,
+        n_past_u=0,
+        n_past_y=1,
         horizon=20,
         metric="mae",
         early_stopping="validation",
@@ -149,6 +149,6 @@ def _facts(nu: int, ny: int) -> Facts:
         outputs=tuple(Signal(f"y{i + 1}") for i in range(ny)),
         sampling_time=1.0,
         records=records,
-        past_inputs=5,
-        past_outputs=5,
+        n_past_u=5,
+        n_past_y=5,
     )

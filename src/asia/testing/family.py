@@ -90,5 +90,4 @@ def smallest_source(row: Family, record: Trajectory, context: Context) -> str:
 
 
 def _facts(record: Trajectory, context: Context) -> Facts:
-    known = context.inputs, context.outputs, 0.1, (record,), 5, 5, context.physics
-    return Facts("", *known, plant=context.plant)
+    return Facts(**context.known(), records=(record,))

@@ -29,7 +29,13 @@ def simulation(*, physics: bool, samples: int = 200) -> Facts:
     rng = np.random.default_rng(0)
     record = Trajectory(rng.normal(size=samples), rng.normal(size=samples), 1.0)
     return Facts(
-        "", (Signal("u"),), (Signal("y"),), 1.0, (record,), 5, 5, EQUATIONS if physics else None
+        inputs=(Signal("u"),),
+        outputs=(Signal("y"),),
+        sampling_time=1.0,
+        records=(record,),
+        n_past_u=5,
+        n_past_y=5,
+        physics=EQUATIONS if physics else None,
     )
 
 
@@ -37,8 +43,8 @@ def windows(*, samples: int = 60_000) -> Facts:
     """Short windows from one measured sample, three groups of records, mean absolute error."""
     return replace(
         simulation(physics=False, samples=samples),
-        past_inputs=0,
-        past_outputs=1,
+        n_past_u=0,
+        n_past_y=1,
         horizon=50,
         metric="mae",
         folds=3,

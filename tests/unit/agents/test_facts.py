@@ -18,7 +18,7 @@ from tests.unit.agents.searches import simulation, windows
 def test_facts_carry_protocol_groups_and_budget() -> None:
     problem = load_problem("two_tanks_sim")
     facts = problem_facts(problem)
-    assert (facts.past_inputs, facts.past_outputs, facts.past) == (5, 5, 5)
+    assert (facts.n_past_u, facts.n_past_y, facts.past) == (5, 5, 5)
     assert (facts.horizon, facts.metric, facts.early_stopping) == (None, "rmse", "inner")
     assert (facts.groups, facts.folds, facts.fit_samples) == ((), 2, facts.samples // 2)
     assert facts.budget == Effort(problem.budget.experiments, problem.budget.fit_seconds)
@@ -35,7 +35,7 @@ def test_facts_carry_protocol_groups_and_budget() -> None:
     flown = problem_facts(replace(problem, protocol=rule))
     assert flown.groups == (("a", "b"), ("c",), ("d",))
     assert (flown.horizon, flown.metric, flown.early_stopping) == (50, "mae", "validation")
-    assert (flown.past_inputs, flown.past_outputs, flown.folds) == (0, 1, 3)
+    assert (flown.n_past_u, flown.n_past_y, flown.folds) == (0, 1, 3)
 
 
 def test_traits_name_the_kind_of_problem() -> None:

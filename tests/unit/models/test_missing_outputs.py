@@ -94,10 +94,7 @@ def problem_of(row: Family) -> Context:
 def fitted(row: Family, records: list[Trajectory]) -> Any:
     """The family at the size of tests, trained a little longer."""
     context = problem_of(row)
-    facts = Facts(
-        "", context.inputs, context.outputs, 0.1, tuple(records), PAST, PAST, context.physics,
-        horizon=context.horizon, plant=context.plant,
-    )  # fmt: skip
+    facts = Facts(**context.known(), records=tuple(records))
     recipe = row.smallest(facts)
     longer = {name: n for name, n in (("iterations", 15), ("steps", 300)) if recipe.has(name)}
     module = types.ModuleType(row.name)

@@ -30,7 +30,7 @@ def traits(facts: Facts) -> frozenset[Trait]:
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:
-        measured = (facts.past_inputs, facts.past_outputs) == (0, 1)
+        measured = (facts.n_past_u, facts.n_past_y) == (0, 1)
     else:
         seen = {physics.observation.get(name, name).strip() for name in outputs}
         measured = set(physics.states) <= seen

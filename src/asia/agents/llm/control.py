@@ -75,7 +75,7 @@ def control_contract(facts: Facts) -> str:
     assert plant is not None
     return _CONTRACT.format(
         nr=len(task.setpoints), ny=len(plant.outputs), nu=len(plant.inputs),
-        past_u=plant.past_inputs, past_y=plant.past_outputs, seconds=facts.budget.fit_seconds,
+        past_u=plant.n_past_u, past_y=plant.n_past_y, seconds=facts.budget.fit_seconds,
     )  # fmt: skip
 
 

@@ -162,8 +162,8 @@ def briefing(facts: Facts) -> str:
     contract = _CONTRACT.format(
         nu=len(facts.inputs),
         ny=len(facts.outputs),
-        pu=facts.past_inputs,
-        py=facts.past_outputs,
+        pu=facts.n_past_u,
+        py=facts.n_past_y,
         libraries=", ".join(installed_libraries()),
         seconds=facts.budget.fit_seconds,
         stopping=_INNER
@@ -229,8 +229,7 @@ def _judgement(facts: Facts) -> Iterator[str]:
             f"linear.Config(loop={facts.loop.methods[0]!r}), or a predictor with a noise model."
         )
     yield (
-        f"Before each come {facts.past_inputs} past input and {facts.past_outputs} past output "
-        "samples."
+        f"Before each come {facts.n_past_u} past input and {facts.n_past_y} past output samples."
     )
     yield (
         f"{facts.folds} folds: "

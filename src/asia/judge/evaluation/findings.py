@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia._diagnostic import diagnostic
-from asia.candidate import Context
+from asia.candidate import Context, KnownSystem
 from asia.data.trajectory import Array
 from asia.judge.evaluation.results import FoldFindings, FoldResult, StepErrors
 from asia.judge.evaluation.training_checks import TrainingCheck, training_checks
@@ -142,15 +142,10 @@ def _step_errors(fold: Fold, y_hat: Sequence[Array], rule: ProtocolRule) -> tupl
     return tuple(found)
 
 
-def search_context(problem: Problem, seed: int) -> Context:
-    """Return the context of a search with this derived seed, without the fields that differ by
-    fold."""
-    rule, control = problem.protocol, problem.control
-    if control is not None:
-        # The plant of a control problem, as for its identification.
-        context = search_context(replace(control.base, plant=None), seed)
-        return replace(context, control=control.task())
-    return Context(
+def known_system(problem: Problem) -> KnownSystem:
+    """Return what candidates and agents know of a problem, its signals as fits receive them."""
+    rule = problem.protocol
+    return KnownSystem(
         inputs=problem.preprocess.signals(problem.inputs),
         outputs=problem.preprocess.signals(problem.outputs),
         sampling_time=problem.sampling_time,
@@ -159,11 +154,22 @@ def search_context(problem: Problem, seed: int) -> Context:
         horizon=rule.horizon,
         metric=rule.metric,
         physics=problem.physics,
-        plant=problem.plant,
         symmetry=problem.symmetry,
-        detrend=problem.preprocess.detrend,
-        scale=problem.preprocess.scale,
         loop=problem.loop,
+        plant=problem.plant,
+        control=problem.control and problem.control.task(),
         responses=problem.responses,
-        seed=seed,
     )
+
+
+def search_context(problem: Problem, seed: int) -> Context:
+    """Return the context of a search with this derived seed, without the fields that differ by
+    fold."""
+    known = known_system(problem)
+    if problem.control is not None:
+        # The plant of a control problem, as for its identification.
+        plant = known_system(replace(problem.control.base, plant=None))
+        known = replace(plant, control=known.control)
+        problem = problem.control.base
+    kept = problem.preprocess
+    return Context(**known.known(), detrend=kept.detrend, scale=kept.scale, seed=seed)
