@@ -128,7 +128,6 @@ class Trial:
             others
         diagnoses: checks that do not pass on the training records, by name, with the share of the
             residual that each explains, the largest first; with `evidence`
-        agent: the proposing agent, "" where the asked agent proposed all
         lowest: with retests, whether its own fit was the best so far
         order: states that the fits report, median over the folds; None where they report none
         variant: variant that was scored in its place, `LINEAR` and `PARENT` for what it began with;
@@ -152,7 +151,6 @@ class Trial:
     error: str = field(default="", repr=False)
     evidence: tuple[str, ...] = field(default=(), repr=False)
     diagnoses: tuple[tuple[str, float], ...] = ()
-    agent: str = ""
     lowest: bool = False
     order: int | None = None
     variant: str = ""
@@ -181,7 +179,6 @@ class Running:
     hypothesis: str
     expected: str
     source: str = field(repr=False)
-    agent: str = ""
 
 
 @dataclass(frozen=True)
@@ -194,8 +191,7 @@ class AgentView:
         notes: messages of the user during the search, oldest first
         linear, mean: V of the best linear model and of the mean of the training outputs, None
             where unknown
-        remaining: experiments left to the asked agent
-        leg: its place in a relay, 1-based, 0 where there is no relay
+        remaining: experiments left
         running: pending experiments, oldest first; () unless several are proposed ahead of
             their results
     """
@@ -208,7 +204,6 @@ class AgentView:
     is_known: Callable[[str], bool] = field(repr=False)
     notes: tuple[str, ...] = ()
     linear: float | None = None
-    leg: int = 0
     mean: float | None = None
     running: tuple[Running, ...] = ()
 
@@ -219,7 +214,7 @@ class AgentView:
 
     @property
     def experiments(self) -> int:
-        """Total budget of the asked agent, including all experiments before its leg."""
+        """Total budget."""
         return len(self.proposed) + self.remaining
 
     @property

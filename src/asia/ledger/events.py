@@ -2,7 +2,7 @@
 
 `experiment` is the number of an experiment, from 1. `failed` and `detail` say why something is
 missing, "" where it is not. `value` is V and `folds` its part of each fold; None and () for a
-failure. `leg` is the number of a leg of a relay, from 1; 0 where one agent proposes.
+failure.
 """
 
 from __future__ import annotations
@@ -112,7 +112,6 @@ class Exchanged:
     status: int
     """HTTP status; 0 when there was no reply."""
     usage: Usage | None = None
-    leg: int = 0
     event: Literal["exchanged"] = "exchanged"
 
 
@@ -131,7 +130,6 @@ class SessionStarted:
 
     session: int
     grant: float | None
-    leg: int = 0
     event: Literal["session_started"] = "session_started"
 
 
@@ -142,7 +140,6 @@ class SessionEnded:
     session: int
     outcome: str
     usage: Usage | None
-    leg: int = 0
     event: Literal["session_ended"] = "session_ended"
 
 
@@ -330,23 +327,8 @@ Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
 ]
-HandOverReason = Literal[
-    "planned", "saturated", "exhausted", "stuck", "tokens", "cost", "time", "agent"
-]
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
-
-
-@dataclass(frozen=True)
-class Leg:
-    """The part of a relay in which one agent proposes."""
-
-    agent: str
-    experiments: int | None = None
-    """Number of experiments of the leg; the baseline counts as one of the first leg. None for all
-    that remain, which only the last leg may have.
-    """
-    settings: dict[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True)
@@ -356,7 +338,6 @@ class Started:
     run: str
     problem: str
     agent: str
-    """Name of the agent, of a relay the names of all."""
     seed: int
     experiments: int
     hours: float | None
@@ -391,8 +372,8 @@ class Started:
     """Description of the held-out part of each fold; () in older ledgers."""
     residuals: ShownResidual = "train"
     """Residuals that agents saw: with `held_out`, those of the held-out samples."""
-    legs: tuple[Leg, ...] = ()
-    """The agents that propose one after the other; () where one agent does."""
+    legs: Annotated[tuple[()], _omitted(())] = ()
+    """Several agents in older ledgers, which are refused for it."""
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
     the significance threshold; 0 where one fit decides, as in older ledgers."""
@@ -454,9 +435,6 @@ class Proposed:
     """Digest of its normalised AST."""
     ticket: str = ""
     """The submission it came by; "" where an agent was asked."""
-    leg: int = 0
-    agent: str = ""
-    """The agent of that leg; "" where one agent proposes, and for the baseline."""
     remark: str = ""
     """Comment of the agent on the state of the search, for display; "" for none."""
     over: Annotated[float | None, _omitted(None)] = None
@@ -584,21 +562,6 @@ class Landed:
     source: Annotated[ArtifactName | None, _omitted(None)] = None
     """As in `Evaluated`."""
     event: Literal["landed"] = "landed"
-
-
-@dataclass(frozen=True)
-class HandedOver:
-    """A leg of a relay is over and the next one begins."""
-
-    leg: int
-    """The leg that begins, 1-based."""
-    agent: str
-    reason: HandOverReason
-    """Why the one before is over."""
-    after: int
-    """Experiments that were made before."""
-    detail: str = ""
-    event: Literal["handed_over"] = "handed_over"
 
 
 @dataclass(frozen=True)
@@ -828,7 +791,7 @@ class Validated:
 
 
 Event = (
-    Started | ReferenceScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped
+    Started | ReferenceScored | Proposed | Evaluated | Landed | Extended | Stopped
     | Resumed | Steered | Noted | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
     | GuardLooked | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
 )  # fmt: skip

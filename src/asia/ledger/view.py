@@ -22,7 +22,6 @@ from asia.ledger.events import (
     Extended,
     FoldEvidence,
     GuardLooked,
-    HandedOver,
     Landed,
     Noted,
     Proposed,
@@ -141,7 +140,6 @@ class SearchView:
 
     Attributes:
         budget, hours: limits as last extended, which was after experiment `extended_after`.
-        handed_over: changes of the agent in a relay.
         unsealing: true once the test was about to be opened.
         looks, looked: evaluations on the guard records, and whether one was made since the search
             stopped.
@@ -166,7 +164,6 @@ class SearchView:
     looked: bool = False
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
-    handed_over: tuple[HandedOver, ...] = ()
     repeats: tuple[Repeated, ...] = ()
     """Fits of candidates after the search, from other seeds."""
     confirmed: Confirmed | None = None
@@ -179,13 +176,6 @@ class SearchView:
     """The last validation report on the held-out samples, and on each new record."""
 
     @property
-    def leg(self) -> int:
-        """The leg of the relay whose agent proposes, 1-based; 0 where one agent does."""
-        if self.handed_over:
-            return self.handed_over[-1].leg
-        return 1 if self.started.legs else 0
-
-    @property
     def uncounted(self) -> int:
         """Number of experiments that the budget does not count: models that diverged as one of
         their family had done before, up to a quarter of the budget."""
@@ -193,17 +183,9 @@ class SearchView:
         return min(len(diverged) - len(set(diverged)), self.budget // 4)
 
     @property
-    def leg_end(self) -> int:
-        """The experiment after which the agent that proposes now does so no longer."""
-        legs = self.started.legs[: self.leg]
-        counts = [leg.experiments for leg in legs if leg.experiments is not None]
-        planned = sum(counts) if counts and len(counts) == len(legs) else self.budget
-        return min(self.budget, planned) + self.uncounted
-
-    @property
-    def agent(self) -> str:
-        """The agent that proposes now."""
-        return self.started.legs[self.leg - 1].agent if self.leg else self.started.agent
+    def most_experiments(self) -> int:
+        """The budget, with the experiments that it does not count."""
+        return self.budget + self.uncounted
 
     @property
     def finished(self) -> tuple[Experiment, ...]:
@@ -450,8 +432,6 @@ class Replay:
                 if (number, repeat) in self._repeats:
                     raise UserError(f"the ledger has repeat {repeat} of experiment {number} twice")
                 self._repeats[number, repeat] = event
-            case HandedOver():
-                self._view = replace(view, handed_over=(*view.handed_over, event))
             case Extended():
                 self._view = replace(
                     _continued(view),

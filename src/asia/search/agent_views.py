@@ -131,11 +131,10 @@ def agent_view(
         seed=view.started.seed,
         phase=phase(view),
         trials=tuple(trials),
-        remaining=view.leg_end - len(view.experiments),
+        remaining=view.most_experiments - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
         linear=_reference(view, LINEAR_REFERENCE),
-        leg=view.leg,
         mean=_reference(view, MEAN_REFERENCE),
         running=tuple(
             Running(
@@ -146,7 +145,6 @@ def agent_view(
                 p.hypothesis,
                 p.expected,
                 store.text(p.source),
-                p.agent,
             )
             for p in (e.proposed for e in view.running)
         ),
@@ -198,7 +196,6 @@ def _trial(e: Experiment, store: Store) -> Trial:
         diagnostics=tuple(f.diagnostics for f in r.folds),
         curves=tuple(curves),
         error=failure.detail if failure else "",
-        agent=p.agent,
         lowest=r.lowest,
         order=_order(e, store),
         variant=next((one.name for one in r.variants if one.chosen), ""),

@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from asia._timer import Lane
-from asia.agents.relay import RelayAgent
 from asia.agents.view import Agent, proposes_ahead
 from asia.errors import UserError
 from asia.judge.evaluation.background import BackgroundJob, JobSettings
@@ -53,11 +52,9 @@ def check_steps_ahead(parallel: int, agent: Agent) -> None:
     """Raises UserError where an agent does not propose ahead of results, but should."""
     if parallel == 1 or proposes_ahead(agent):
         return
-    agents = [r.agent for r in agent.runners] if isinstance(agent, RelayAgent) else [agent]
-    name = next(each.name for each in agents if not proposes_ahead(each))
     raise UserError(
-        f"--parallel {parallel}: the agent {name} proposes one experiment at a time, from the "
-        f"result of the one before; omit --parallel. An agent of your own that reads "
+        f"--parallel {parallel}: the agent {agent.name} proposes one experiment at a time, from "
+        f"the result of the one before; omit --parallel. An agent of your own that reads "
         "view.running says so with proposes_ahead = True"
     )
 

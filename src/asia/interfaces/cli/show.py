@@ -169,9 +169,6 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     parent = f", derived from #{p.parent:02d}" if p.parent else ""
     title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
     console.print(title, printable_line(f"(family {p.family}, {phase_text(p.phase)}{parent})"))
-    if p.leg:
-        agent = p.agent or "none: the baseline"
-        row("agent", f"{agent}, in leg {p.leg} of {len(view.started.legs)}")
     row("hypothesis", p.hypothesis)
     row("expected", p.expected)
     if p.remark:

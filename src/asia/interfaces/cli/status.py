@@ -33,7 +33,6 @@ from asia.ledger.looks import seal_words
 from asia.ledger.run import control, error_of, metric_of, model_to_use, open_run
 from asia.ledger.text import (
     control_text,
-    hand_over_text,
     method_note,
     threshold_text,
     validation_summary,
@@ -74,10 +73,6 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "run": start.run,
         "problem": start.problem,
         "agent": start.agent,
-        "legs": [{"agent": leg.agent, "experiments": leg.experiments} for leg in start.legs],
-        "handed_over": [
-            {"agent": e.agent, "after": e.after, "reason": e.reason} for e in view.handed_over
-        ],
         "seed": start.seed,
         "state": found.state,
         "stopped": view.stopped.reason if view.stopped else None,
@@ -160,8 +155,6 @@ def _print_status(directory: Path, found: Brief) -> None:
             f"folds   {sum(pruned)} pruned{ran}, in {len(pruned)} experiments with V far above "
             "the best"
         )
-    for event in view.handed_over:
-        say(f"relay   {hand_over_text(event)}")
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)
         say(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))

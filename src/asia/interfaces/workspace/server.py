@@ -157,8 +157,8 @@ class SearchProgress:
             state=run.state,
             metric=view.v_name,
             experiments=len(view.finished),
-            budget=view.leg_end,
-            remaining=max(0, view.leg_end - len(view.finished)),
+            budget=view.most_experiments,
+            remaining=max(0, view.most_experiments - len(view.finished)),
             best=Best(best.number, best.score.value) if best and best.score else None,
             references={r.name: getattr(r.outcome, "value", None) for r in view.references},
             notes=tuple(note.text for note in view.notes),
@@ -475,11 +475,10 @@ class RunDesk:
         over = self._why_over(run)
         if over is not None:
             raise UserError(f"the candidate was not judged: {over}")
-        # In a relay up to the turn of the next agent. A larger request counts before the search has
-        # seen it.
+        # A larger request counts before the search has seen it.
         request = SearchRequest.find(self._directory)
         requested = request.experiments if request is not None else None
-        budget = max(view.leg_end, requested or 0)
+        budget = max(view.most_experiments, requested or 0)
         in_ledger = {e.proposed.ticket for e in view.experiments}
         # The baseline is the first experiment and is not submitted.
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
