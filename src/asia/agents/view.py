@@ -52,8 +52,6 @@ class Facts:
         groups: names of the records held out together, one tuple a fold, () where folds are cut
             inside the records
         early_stopping: `validation` lets a fit ask for its score on the held-out part
-        ladder: the share of V by which a new best must be better to be reported, None where
-            every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
         terms: computes terms that a linear model lacks, with the place ("at the input", "in the
             dynamics", "at the output") and the share of its residual that each explains, the
@@ -82,7 +80,6 @@ class Facts:
     budget: Effort = Effort()
     notes: str = ""
     strategies: str = ""
-    ladder: float | None = None
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     linear: tuple[tuple[str, Any], ...] = ()
     terms: Callable[[], tuple[tuple[str, str, float], ...]] = field(
@@ -120,8 +117,7 @@ class Trial:
     """Evaluated experiment.
 
     Attributes:
-        value, folds: V and V per fold; None and () when there is no score. With the Ladder
-            `folds` is () and `value` the last reported V, a new best where the status is `keep`
+        value, folds: V and V per fold; None and () when there is no score
         failure: description of the failure and its remedy
         error: message of the candidate itself: data, not to be trusted
         evidence: further findings as lines of text, for the best and the last trial; () for the

@@ -356,8 +356,6 @@ class Started:
     early_stopping: EarlyStopping = "inner"
     """With `validation`, candidates saw their score on the held-out parts: V is not leak-free."""
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
-    ladder: float | None = None
-    """Relative improvement of V that a new best needs to be shown; None if all V is shown."""
     guard_digest: str | None = None
     """Commits the guard records; None when the problem has none."""
     layers: tuple[str, ...] = ()
@@ -373,7 +371,8 @@ class Started:
     residuals: ShownResidual = "train"
     """Residuals that agents saw: with `held_out`, those of the held-out samples."""
     legs: Annotated[tuple[()], _omitted(())] = ()
-    """Several agents in older ledgers, which are refused for it."""
+    ladder: Annotated[None, _omitted(None)] = None
+    """Settings of older ledgers, which are refused where one is set."""
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
     the significance threshold; 0 where one fit decides, as in older ledgers."""

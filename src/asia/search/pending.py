@@ -43,9 +43,11 @@ def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: b
             f"on V; omit it, or use a metric that is never negative and 0 at best, such as rmse"
         )
     # Folds that are passed over must tell neither a candidate nor an agent something.
-    if rule.early_stopping != "inner" or rule.ladder is not None:
-        what = "a ladder" if rule.ladder is not None else "validation early stopping"
-        raise UserError(f"--stop-folds with {what}: V of every candidate is needed there; omit it")
+    if rule.early_stopping != "inner":
+        raise UserError(
+            "--stop-folds with validation early stopping: V of every candidate is needed there; "
+            "omit it"
+        )
 
 
 def check_steps_ahead(parallel: int, agent: Agent) -> None:

@@ -47,7 +47,6 @@ from asia.problem.load import with_models
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
 from asia.problem.protocol import EarlyStopping
-from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
 from asia.search.decision import RETEST_LIMIT
 from asia.search.loop import Loop, OnEvent
@@ -258,19 +257,17 @@ def prepare(
         early_stopping=rule.early_stopping,
         residuals=rule.residuals,
         agent_settings=dict(agent_settings or {}),
-        ladder=rule.ladder,
         guard_digest=sealed.guard,
         layers=tuple(layer.value for layer in found.layers),
         salt=secrets.token_hex(16),
         isolation_strict=isolation_strict,
         folds=fold_names(folds, rule),
-        # The Ladder has a threshold of its own, and retests would say by their time what is kept.
-        retests=0 if rule.ladder is not None else budget.retests,
+        retests=budget.retests,
         parallel=parallel,
         stop_folds=stop_folds,
         gate=problem.control is None and can_read_records(agent_name),
         retest_limit=RETEST_LIMIT,
-        by_folds=rule.ladder is None and problem.control is None,
+        by_folds=problem.control is None,
     )
     return Prepared(problem, directory, lock, started, resumes)
 
@@ -401,15 +398,12 @@ def make_evaluator(
 
 
 def with_early_stopping(problem: Problem, setting: str) -> Problem:
-    """The problem with this setting instead of its file's. Raises UserError for another word, or
-    one that the protocol's feedback rules out."""
+    """The problem with this setting instead of its file's. Raises UserError for another word."""
     if problem.control is not None and setting != "inner":
         raise UserError('controllers are designed without scores: keep --early-stopping "inner"')
     for known in get_args(EarlyStopping):
         if setting == known:
-            rule = replace(problem.protocol, early_stopping=known)
-            check_feedback(rule)
-            return replace(problem, protocol=rule)
+            return replace(problem, protocol=replace(problem.protocol, early_stopping=known))
     raise UserError(
         f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
         "choose one, or leave it out for the problem's own"

@@ -10,13 +10,13 @@ from .conftest import started
 LEGS = b'"legs":[{"agent":"expert","experiments":2,"settings":{}},{"agent":"bayes"}],'
 
 
-@pytest.mark.parametrize("setting", [b"", b'"legs":[],'])
+@pytest.mark.parametrize("setting", [b"", b'"legs":[],"ladder":null,'])
 def test_a_ledger_without_them_is_read(setting: bytes) -> None:
     raw = encode(BEGIN, started())
     assert decode(raw.replace(b'"seed":', setting + b'"seed":', 1), 0, "old").event == started()
 
 
-@pytest.mark.parametrize("setting", [LEGS])
+@pytest.mark.parametrize("setting", [LEGS, b'"ladder":0.1,'])
 def test_a_ledger_with_one_is_refused(setting: bytes) -> None:
     raw = encode(BEGIN, started())
     with pytest.raises(UserError, match="event 0 was written by another version of ASIA"):

@@ -238,17 +238,6 @@ def _judgement(facts: Facts) -> Iterator[str]:
         + "; ".join(one_line(", ".join(group), 200) for group in facts.groups)
     )
     yield f"V: {find_metric(facts.metric).v_words}, mean over outputs, then over folds."
-    if facts.ladder is not None:
-        yield ladder_rule(facts.ladder)
-
-
-def ladder_rule(step: float) -> str:
-    """Describe how V is reported with the feedback `ladder`."""
-    return (
-        "V is reported by the rule of the Ladder. A candidate is kept if its V is lower than the "
-        f"last reported V by more than {step:.0%}, and not by chance. Then its rounded V is "
-        "reported. For any other candidate the last reported V is repeated."
-    )
 
 
 def equations(physics: Physics) -> Iterator[str]:

@@ -206,9 +206,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print("\nidentified model", style="bold")
         for line in identified_lines(model):
             console.print(printable_line(line))
-    evidence = evidence_of(
-        experiment, view, run.store, settings_of_run(run.directory), bounded=False
-    )
+    evidence = evidence_of(experiment, view, run.store, settings_of_run(run.directory))
     if evidence.recorded:
         console.print("\nevidence", style="bold")
         for line in evidence_lines(evidence, experiment.seed_values):

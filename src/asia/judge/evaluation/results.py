@@ -186,15 +186,11 @@ def derive_seed(root: int, *parts: object) -> int:
 
 
 def score_outputs(
-    folds: Sequence[Fold],
-    outputs: Sequence[Sequence[Array]],
-    metric: str,
-    *,
-    in_parts: bool = False,
+    folds: Sequence[Fold], outputs: Sequence[Sequence[Array]], metric: str
 ) -> Outcome:
     """Score given simulations, one (H, ny) array a held-out block of each fold."""
     scores = [
-        score_fold([b.y for b in fold.held_out], y_hat, fold.scale, metric, in_parts=in_parts)
+        score_fold([b.y for b in fold.held_out], y_hat, fold.scale, metric)
         for fold, y_hat in zip(folds, outputs, strict=True)
     ]
     return combine(scores)

@@ -142,7 +142,6 @@ def test_a_run_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
     ("changed", "words"),
     [
         ({"early_stopping": "validation"}, "validation early stopping"),
-        ({"ladder": 0.01}, "a ladder"),
     ],
 )
 def test_refused_where_there_is_no_bound(
