@@ -29,7 +29,6 @@ def run(
     executor: Executor | str = "local",
     sinks: Sequence[str | OpenSink] = (),
     parallel: int = 1,
-    stop_folds: bool = False,
     guard: bool | None = None,
 ) -> Run:
     """Search for a model, and return the finished run with its view and artifacts.
@@ -45,7 +44,6 @@ def run(
         sinks: receivers of events: an installed one by name, `module:Name`, or a function that
             opens one, see `asia.search.sinks.Sink`
         parallel: experiments in flight
-        stop_folds: skip the remaining folds of a candidate that is far behind the best
         guard: hold back 15 % of the training records of a problem that is not loaded yet, to
             confirm new bests; None to do so where the agent writes candidates
 
@@ -71,7 +69,6 @@ def run(
         name=name,
         agent_settings=chosen.settings,
         parallel=parallel,
-        stop_folds=stop_folds,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

@@ -372,6 +372,7 @@ class Started:
     """Residuals that agents saw: with `held_out`, those of the held-out samples."""
     legs: Annotated[tuple[()], _omitted(())] = ()
     ladder: Annotated[None, _omitted(None)] = None
+    stop_folds: Annotated[Literal[False], _omitted(False)] = False
     """Settings of older ledgers, which are refused where one is set."""
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
@@ -380,8 +381,6 @@ class Started:
     """Maximum number of concurrent experiments. Each is proposed once all but the last `parallel` -
     1 before it have their results.
     """
-    stop_folds: Annotated[bool, _omitted(False)] = False
-    """True if folds of a first fit are pruned once V must be above `Proposed.over`."""
     device: Annotated[Literal["cpu", "gpu"], _omitted("cpu")] = "cpu"
     """`gpu` in older ledgers only, where candidates trained networks on one."""
     gate: Annotated[bool, _omitted(False)] = False
@@ -436,8 +435,6 @@ class Proposed:
     """The submission it came by; "" where an agent was asked."""
     remark: str = ""
     """Comment of the agent on the state of the search, for display; "" for none."""
-    over: Annotated[float | None, _omitted(None)] = None
-    """V above which the folds that are left do not count; None where all of them do."""
     fair: Annotated[bool, _omitted(False)] = False
     """True if the linear model is scored in its place where that is as good."""
     event: Literal["proposed"] = "proposed"
@@ -532,8 +529,6 @@ class Evaluated:
     elapsed: Annotated[float | None, _omitted(None)] = None
     """Seconds that the search waited for it, decision included; None where one experiment runs at
     a time, which takes `seconds`."""
-    ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
-    """Folds that were cancelled while they ran, see `asia.search.rules.FAR_ABOVE`."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
     confirmation: Annotated[Confirmation | None, _omitted(None)] = None
     """Gain of a new best where nobody could read the answers; None where it was not asked."""
@@ -556,7 +551,6 @@ class Landed:
     seconds: float
     """Duration of the fit and its simulations."""
     validation_scores: int = 0
-    ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
     variants: Annotated[tuple[Variant, ...], _omitted(())] = ()
     source: Annotated[ArtifactName | None, _omitted(None)] = None
     """As in `Evaluated`."""

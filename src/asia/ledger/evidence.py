@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, Statement, stated
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
-from asia.errors import Reason, UserError
+from asia.errors import UserError
 from asia.judge.evaluation.results import FoldFindings
 from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.judge.scoring.repeated_fits import significance_threshold
@@ -720,22 +720,3 @@ def _estimated_parameter(one: ParameterEstimate) -> EstimatedParameter:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def pruned_folds(view: SearchView) -> tuple[int, ...]:
-    """Return the number of pruned folds of each pruned experiment, without duplicates."""
-    folds = len(view.started.folds)
-    return tuple(
-        folds - e.failure.fold
-        for e in view.finished
-        if e.failure is not None
-        and e.failure.reason is Reason.BEHIND
-        and e.failure.fold is not None
-        and e.result is not None
-        and e.result.duplicate_of is None
-    )
-
-
-def cancelled_folds(view: SearchView) -> int:
-    """Return the number of pruned folds that were cancelled while they ran."""
-    return sum(e.result.ended_folds for e in view.finished if e.result is not None)

@@ -47,7 +47,7 @@ from asia.search.decision import decide
 from asia.search.final import refit_winner
 from asia.search.guard import Gate
 from asia.search.pending import PendingFits, keep_folds, keep_output, keep_source
-from asia.search.rules import bound_on_folds, stop_reason
+from asia.search.rules import stop_reason
 from asia.search.steering import Steering
 
 # Propose, evaluate, keep or discard, each step written to the ledger, until a stop rule holds.
@@ -258,7 +258,6 @@ class Loop:
                 digest=digest(proposal.source),
                 ticket=proposal.ticket,
                 remark=proposal.remark,
-                over=bound_on_folds(view),
                 fair=proposal.fair,
             )
         )
@@ -325,7 +324,6 @@ class Loop:
             threshold=decision.threshold,
             lowest=decision.lowest,
             elapsed=None if view.started.parallel == 1 else now - start,
-            ended_folds=evaluation.ended_folds,
             failed_checks=evaluation.failed_checks,
             confirmation=decision.confirmation,
             variants=decision.tried.variants,

@@ -1,16 +1,12 @@
-"""Phases, stop rules and the bound of early pruning."""
+"""Phases and stop rules."""
 
 from __future__ import annotations
 
-from statistics import fmean
 from typing import Literal
 
 from asia.ledger.events import StopReason
 from asia.ledger.view import SearchView
 from asia.problem.budget import Budget
-
-FAR_ABOVE = 1.5
-"""V relative to the incumbent above which the remaining folds are pruned."""
 
 
 def phase(view: SearchView) -> Literal["explore", "refine"]:
@@ -33,12 +29,3 @@ def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
     last = refined[-budget.patience :]
     kept = any(e.kept for e in last)
     return "saturated" if len(last) >= budget.patience and not kept else None
-
-
-def bound_on_folds(view: SearchView) -> float | None:
-    """V above which a candidate proposed now can be neither kept nor handed over; None where every
-    fold counts. Later results only lower what it must beat."""
-    held, best = view.incumbent, view.best
-    if not view.started.stop_folds or held is None or best is None or best.score is None:
-        return None
-    return FAR_ABOVE * max(fmean(held.seed_values), best.score.value)

@@ -50,7 +50,7 @@ from asia.problem.protocol import EarlyStopping
 from asia.problem.seal import guard_digest, seal
 from asia.search.decision import RETEST_LIMIT
 from asia.search.loop import Loop, OnEvent
-from asia.search.pending import check_steps_ahead, check_ways
+from asia.search.pending import check_parallel, check_steps_ahead
 from asia.search.steering import RunningLosses
 
 # Environment that outcomes and prompts depend on: Python, packages, model library.
@@ -183,7 +183,6 @@ def prepare(
     isolation_strict: bool = False,
     agent_settings: Mapping[str, str] | None = None,
     parallel: int = 1,
-    stop_folds: bool = False,
 ) -> Prepared:
     """Check everything a search needs and compare it with an existing run. Writes nothing.
 
@@ -193,7 +192,6 @@ def prepare(
         isolation_strict: true to fit the folds of a candidate sequentially.
         agent_settings: settings of the agent's proposals besides its name.
         parallel: number of concurrent experiments.
-        stop_folds: true to prune the remaining folds of a candidate that is far behind the best.
 
     Raises:
         UserError: the folds cannot be made, the test does not fit, the run exists with other
@@ -205,7 +203,7 @@ def prepare(
             f"agent {agent_name} proposes models, and '{problem.name}' asks for a controller: use "
             "expert, llm, mcp or an agent of your own"
         )
-    check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
+    check_parallel(parallel, strict=isolation_strict)
     check_baseline(problem)
     # The file's schema checks a budget that was read; this one may come from anywhere.
     if budget.experiments < 1:
@@ -264,7 +262,6 @@ def prepare(
         folds=fold_names(folds, rule),
         retests=budget.retests,
         parallel=parallel,
-        stop_folds=stop_folds,
         gate=problem.control is None and can_read_records(agent_name),
         retest_limit=RETEST_LIMIT,
         by_folds=problem.control is None,
@@ -438,12 +435,9 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("seed", start.seed, wanted.seed),
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("--parallel", start.parallel, wanted.parallel),
-        *(
-            (what, *("on" if on else "off" for on in pair))
-            for what, pair in (
-                ("--stop-folds", (start.stop_folds, wanted.stop_folds)),
-                ("the gate of the guard records", (start.gate, wanted.gate)),
-            )
+        (
+            "the gate of the guard records",
+            *("on" if on else "off" for on in (start.gate, wanted.gate)),
         ),
         *(
             (f"an agent with {name}", *(s.get(name, "its default") for s in settings))

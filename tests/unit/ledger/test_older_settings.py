@@ -16,7 +16,7 @@ def test_a_ledger_without_them_is_read(setting: bytes) -> None:
     assert decode(raw.replace(b'"seed":', setting + b'"seed":', 1), 0, "old").event == started()
 
 
-@pytest.mark.parametrize("setting", [LEGS, b'"ladder":0.1,'])
+@pytest.mark.parametrize("setting", [LEGS, b'"ladder":0.1,', b'"stop_folds":true,'])
 def test_a_ledger_with_one_is_refused(setting: bytes) -> None:
     raw = encode(BEGIN, started())
     with pytest.raises(UserError, match="event 0 was written by another version of ASIA"):

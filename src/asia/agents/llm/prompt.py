@@ -369,8 +369,7 @@ def task_of(view: AgentView, repairs: int) -> Task:
     is running; else the task of the present phase."""
     failed: list[Trial] = []
     for trial in reversed(view.trials):
-        sound = trial.value is not None or trial.status == "discard"
-        if sound or (failed and failed[-1].parent != trial.number):
+        if trial.value is not None or (failed and failed[-1].parent != trial.number):
             break
         failed.append(trial)
     last = failed[0] if failed else None

@@ -166,7 +166,6 @@ def search_and_print(
             isolation_strict=options.isolation_strict,
             agent_settings=driver.settings,
             parallel=engine.parallel,
-            stop_folds=engine.stop_folds,
         )
         executor = make_executor(engine.executor)
     sinks = open_sinks(ready.directory, sink or ())

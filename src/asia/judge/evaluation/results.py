@@ -111,8 +111,6 @@ class Evaluation:
     validation_scores: int = 0
     """Number of scores on held-out parts that the candidate requested, in all folds, failed ones
     included."""
-    ended_folds: int = 0
-    """Number of running folds that were ended because they did not count any more."""
 
     @property
     def y_hats(self) -> list[tuple[Array, ...]]:

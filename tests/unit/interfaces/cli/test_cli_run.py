@@ -73,7 +73,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
         "early_stopping", "validation_scores", "residuals", "best", "references",
         "control", "stopped", "usage", "metric", "use", "use_reason",
         "confirmed", "parallel", "running", "threshold", "remark", "incumbent", "validated",
-        "stop_folds", "pruned_folds", "cancelled_folds", "error", "failed_checks",
+        "error", "failed_checks",
         "alarms", "verdict", "losses", "seal", "guard", "unguarded",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)

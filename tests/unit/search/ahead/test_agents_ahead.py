@@ -28,9 +28,7 @@ def quick() -> Iterator[None]:
     known: list[Evaluation] = []
     real: Callable[..., Evaluation] = Evaluator.evaluate
 
-    def evaluate(
-        self: Evaluator, source: str, start: int = 0, over: float | None = None
-    ) -> Evaluation:
+    def evaluate(self: Evaluator, source: str, start: int = 0) -> Evaluation:
         if not known:
             known.append(real(self, arx(2)))
         outcome = known[0].outcome
