@@ -1,27 +1,24 @@
-"""Score probing: what an agent reads out of 200 scores, and what the Ladder leaves of it.
+"""Score probing: what an agent reads out of 200 scores.
 
 Each query is a baseline's simulation of the held-out parts plus a known pattern, a cosine; it is
-scored, doubted, kept or discarded and told as the search does it. No sandbox is needed: no
-candidate runs.
+scored as the search does it. No sandbox is needed: no candidate runs.
 
     python benchmarks/machinery/probing.py [--queries 200] [--problem two_tanks_sim]
 
 Regression: the scores of all patterns give the error's component along each, and the sum of them is
 taken off (needs a score that moves). Climbing: a pattern that is told to be a new best stays (needs
-one bit), tried in one fold, in all together, or as random mixtures. Spoilt: candidates break a
-relation on purpose, and beside the point where the verdict on that turns, it tells the sign of each
-pattern. Printed is the true V after each, for the best of some sizes of pattern: what a search
-would take for progress. On other data the patterns help nobody.
+one bit), tried in one fold, in all together, or as random mixtures. Printed is the true V after
+each, for the best of some sizes of pattern: what a search would take for progress. On other data
+the patterns help nobody.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import sys
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,53 +32,34 @@ from asia.problem.folds import Fold, make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-from tests.redteam.arena import (
-    HALVINGS,
-    ScoreOnlySearch,
-    Spoil,
-    forgetful,
-    one_start,
-    turn,
-)
-
 Outputs = list[list[Array]]
 AMPLITUDES = (0.03, 0.1, 0.3, 0.6)
-STEPS = (0.02, 0.05, 0.1)
 
 
 @dataclass
 class Attacked:
-    """Scores simulations, and tells what the search would tell. digits: significant ones of every
-    score told, None for all."""
+    """Scores simulations, and tells V of each fold. digits: significant ones of every score told,
+    None for all."""
 
     folds: Sequence[Fold]
     metric: str
-    ladder: float | None = None
     digits: int | None = None
-
-    def __post_init__(self) -> None:
-        self._search = ScoreOnlySearch(self.ladder)
+    lowest: float = field(default=math.inf, init=False)
 
     def true(self, outputs: Outputs) -> Score:
         """All of V."""
-        score = score_outputs(self.folds, outputs, self.metric, in_parts=True)
+        score = score_outputs(self.folds, outputs, self.metric)
         assert not isinstance(score, Failure)
         return score
 
     def ask(self, outputs: Outputs) -> tuple[bool, tuple[float, ...]]:
-        """Whether it is a new best, and what is told: V of each fold, or V alone."""
-        result = self._search.submit(self.true(outputs))
-        told = result.outcome
-        assert isinstance(told, Score)
-        numbers = [fold.value for fold in told.folds] or [told.value]
+        """Whether it is a new best, and what is told of V of each fold."""
+        score = self.true(outputs)
+        new_best, self.lowest = score.value < self.lowest, min(score.value, self.lowest)
+        numbers = [fold.value for fold in score.folds]
         if self.digits is not None:
             numbers = [float(f"{v:.{self.digits - 1}e}") for v in numbers]
-        return result.status == "keep", tuple(numbers)
-
-    def doubt(self, outputs: Outputs, spoil: Spoil) -> bool:
-        """Whether a candidate that breaks a relation on purpose is told so."""
-        return isinstance(self._search.submit(self.true(outputs), spoil).outcome, Failure)
+        return new_best, tuple(numbers)
 
 
 def baseline(problem: Problem, folds: Sequence[Fold]) -> Outputs:
@@ -123,27 +101,17 @@ def plus(one: Outputs, other: Outputs, factor: float = 1.0) -> Outputs:
 
 def regression(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
     """From mean((e + c)^2) = mean(e^2) + 2 mean(e c) + mean(c^2): one component a query, for all
-    folds at once where each is told, else for one fold after the other."""
+    folds at once."""
     folds, found = desk.folds, start
     _, first = desk.ask(start)
-    apart = len(first) == len(folds)
-    for query in range(queries - 1):
-        k = query if apart else query // len(folds)
-        turn = [size if apart or f == query % len(folds) else 0.0 for f in range(len(folds))]
-        probe = pattern(folds, k, turn)
+    for k in range(queries - 1):
+        probe = pattern(folds, k, [size] * len(folds))
         _, told = desk.ask(plus(start, probe))
-        if apart:
-            changes = [a**2 - b**2 for a, b in zip(told, first, strict=True)]
-        else:
-            # Near the start a fold's part of V moves V by its share.
-            changes = [2 * first[0] * len(folds) * (told[0] - first[0])] * len(folds)
         taken = [0.0] * len(folds)
-        for f, s in enumerate(turn):
-            if s and (changes[f] or not apart):
-                power = float(
-                    np.mean(np.concatenate([(c / folds[f].scale) ** 2 for c in probe[f]]))
-                )
-                taken[f] = -0.5 * (changes[f] - power) / power * s if changes[f] else 0.0
+        for f, (a, b) in enumerate(zip(told, first, strict=True)):
+            change = a**2 - b**2
+            power = float(np.mean(np.concatenate([(c / folds[f].scale) ** 2 for c in probe[f]])))
+            taken[f] = -0.5 * (change - power) / power * size if change else 0.0
         found = plus(found, pattern(folds, k, taken))
     return found
 
@@ -176,28 +144,6 @@ def mixtures(desk: Attacked, start: Outputs, queries: int, size: float) -> Outpu
     return _climbed(desk, start, queries, (mixture() for _ in range(queries)))
 
 
-def spoilt(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
-    """The verdict on a candidate that breaks a relation: always, or where its V is low enough."""
-    spoils = forgetful, one_start(1.1 * desk.true(start).value)
-    ends = [_turned(replace(desk), start, queries, size, spoil) for spoil in spoils]
-    return min(ends, key=lambda end: desk.true(end).value)
-
-
-def _turned(desk: Attacked, start: Outputs, queries: int, size: float, spoil: Spoil) -> Outputs:
-    """A worse model is the one to beat. What is added to a better one is bisected to where the
-    verdict turns; beside it each pattern, in one fold, turns the verdict by its sign."""
-    folds, value = desk.folds, desk.true(start).value
-    worse = pattern(folds, 499, [value] * len(folds))
-    desk.ask(plus(start, worse))
-    share = turn(lambda share: desk.doubt(plus(start, worse, share), spoil), 1.0)
-    edge, found = plus(start, worse, share), start
-    for query in range(queries - HALVINGS - 1):
-        sizes = [0.2 * size if f == query % len(folds) else 0.0 for f in range(len(folds))]
-        tried = pattern(folds, query // len(folds), sizes)
-        found = plus(found, tried, 1.0 if desk.doubt(plus(edge, tried), spoil) else -1.0)
-    return found
-
-
 def _climbed(desk: Attacked, start: Outputs, queries: int, tries: Iterable[Outputs]) -> Outputs:
     found = start
     desk.ask(start)
@@ -220,18 +166,16 @@ def main() -> None:
     print(
         f"{problem.name}, linear model, V = {value:.4f}; {options.queries} queries, best of sizes"
     )
-    rows: dict[str, dict[str, float | None]] = {"exact": {}}
-    rows |= {f"{digits} digits": {"digits": digits} for digits in (4, 3, 2)}
-    rows |= {f"ladder {step:.0%}": {"ladder": step} for step in STEPS}
+    rows: dict[str, int | None] = {"exact": None}
+    rows |= {f"{digits} digits": digits for digits in (4, 3, 2)}
     print(
-        "| told | regression | climbing | together | mixtures | spoilt | gain |\n"
-        "|---|---|---|---|---|---|---|"
+        "| told | regression | climbing | together | mixtures | gain |\n|---|---|---|---|---|---|"
     )
-    for name, options_of in rows.items():
+    for name, digits in rows.items():
         after = []
-        for attack in (regression, climbing, together, mixtures, spoilt):
+        for attack in (regression, climbing, together, mixtures):
             ends = [
-                attack(Attacked(folds, metric, **options_of), start, options.queries, size)  # type: ignore[arg-type]
+                attack(Attacked(folds, metric, digits), start, options.queries, size)
                 for size in AMPLITUDES
             ]
             after.append(min(Attacked(folds, metric).true(end).value for end in ends))

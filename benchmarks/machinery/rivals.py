@@ -71,7 +71,7 @@ def experiments(run: Run, folder: Path) -> Iterator[Row]:
             "family": e.proposed.family,
             **{key: v if isinstance(v, int | float | str) else str(v) for key, v in pairs},
         }
-        numbers = [one.numbers for one in findings_of(run.store, e, bounded=False) if one.numbers]
+        numbers = [one.numbers for one in findings_of(run.store, e) if one.numbers]
         facts = {
             "number": e.number, "title": e.proposed.title, "hypothesis": e.proposed.hypothesis,
             "status": e.result.status, "reason": decision_text(e, run.view),

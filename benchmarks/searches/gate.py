@@ -124,7 +124,7 @@ def _searched(name: str, seed: int, out: Path) -> list[Judged]:
     directory = write_problem(system, out / "problems" / name, len(CANDIDATES) + 1)
     (directory / "baseline.py").write_text(BASELINE)
     agent = Scripted()
-    problem = load_problem(directory, guard_share([agent.name], None))
+    problem = load_problem(directory, guard_share(agent.name, None))
     problem = replace(problem, budget=replace(problem.budget, patience=99, retests=0))
     ready = prepare(problem, agent.name, seed=seed, runs=out / "runs")
     view = search(ready, agent, lambda event, view: None, lambda view: None)

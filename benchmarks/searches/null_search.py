@@ -98,9 +98,9 @@ class _Drawn(Evaluator):
         self._random, self._scatter, self.fits = random, scatter, 0
         self.workers = cast(WorkerRunner, SimpleNamespace(is_sequential=True))
 
-    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
+    def evaluate(self, source: str, start: int = 0) -> Evaluation:
         """One more draw."""
-        del source, start, over
+        del source, start
         self.fits += 1
         value = float(np.exp(self._scatter * self._random.normal()))
         fold = SimpleNamespace(y_hat=(np.array([value]),))

@@ -6,14 +6,13 @@ from pathlib import Path
 
 from asia.agents.random import SpaceName
 from asia.agents.registry import NamedAgent, choose_agent
-from asia.agents.relay import legs_of
 from asia.agents.view import Agent, settings_of
 from asia.judge.executors import Executor, make_executor
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping
-from asia.search.run import guard_share, prepare, search, with_early_stopping, with_relay_budget
+from asia.search.run import guard_share, prepare, search, with_early_stopping
 from asia.search.sinks import OpenSink, open_sinks
 
 
@@ -30,7 +29,6 @@ def run(
     executor: Executor | str = "local",
     sinks: Sequence[str | OpenSink] = (),
     parallel: int = 1,
-    stop_folds: bool = False,
     guard: bool | None = None,
 ) -> Run:
     """Search for a model, and return the finished run with its view and artifacts.
@@ -39,15 +37,13 @@ def run(
 
     Args:
         problem: a loaded problem, a built-in name or a path
-        agent: an agent, or its name as in `asia run --agent`: `module:Class` for one of your own,
-            `expert*5+bayes` for several one after the other
+        agent: an agent, or its name as in `asia run --agent`: `module:Class` for one of your own
         early_stopping: in place of the problem's own setting
         space: search space of the agent "random"
         executor: one of `executor_names()`, or an object, that runs the evaluations
         sinks: receivers of events: an installed one by name, `module:Name`, or a function that
             opens one, see `asia.search.sinks.Sink`
         parallel: experiments in flight
-        stop_folds: skip the remaining folds of a candidate that is far behind the best
         guard: hold back 15 % of the training records of a problem that is not loaded yet, to
             confirm new bests; None to do so where the agent writes candidates
 
@@ -59,15 +55,12 @@ def run(
         if isinstance(agent, str)
         else NamedAgent(agent, settings_of(agent))
     )
-    legs = legs_of(chosen.agent)
-    share = guard_share([leg.agent for leg in legs] or [chosen.agent.name], guard)
+    share = guard_share(chosen.agent.name, guard)
     loaded = problem if isinstance(problem, Problem) else load_problem(problem, share)
     if experiments is not None:
         loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
     if early_stopping is not None:
         loaded = with_early_stopping(loaded, early_stopping)
-    if experiments is None:
-        loaded = with_relay_budget(loaded, legs)
     ready = prepare(
         loaded,
         chosen.agent.name,
@@ -75,9 +68,7 @@ def run(
         runs=Path(runs),
         name=name,
         agent_settings=chosen.settings,
-        legs=legs,
         parallel=parallel,
-        stop_folds=stop_folds,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

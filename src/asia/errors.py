@@ -31,13 +31,10 @@ class Reason(StrEnum):
     SOURCE_SIZE = "source_size"
     SUSPECT = "suspect"
     RESTART = "restart"
-    BEHIND = "behind"
 
     @property
-    def status(self) -> Literal["discard", "crash", "timeout", "invalid"]:
-        """`discard`, `crash`, `timeout` or `invalid`: the word for the ledger."""
-        if self is Reason.BEHIND:
-            return "discard"
+    def status(self) -> Literal["crash", "timeout", "invalid"]:
+        """`crash`, `timeout` or `invalid`: the word for the ledger."""
         if self in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT):
             return "timeout"
         if self in (Reason.CRASH, Reason.EXITED, Reason.MEMORY, Reason.THREADS):
@@ -79,9 +76,6 @@ _ADVICE = {
     "make simulate a causal, continuous function of each row alone, with no memory between calls",
     Reason.RESTART: "the model is accurate from the scored initial samples only: "
     "make simulate equally accurate from any other sample of a record",
-    Reason.BEHIND: "V is far above the best for any result of the other folds, so they were "
-    "pruned: "
-    "omit --stop-folds to compute V of every candidate",
 }
 
 

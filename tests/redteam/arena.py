@@ -1,14 +1,14 @@
 """Arena: one cheating candidate against the real evaluator."""
 
 import time
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker
@@ -21,10 +21,7 @@ from asia.judge.scoring.confirmation import (
     share_gained,
 )
 from asia.judge.scoring.outcome import Failure, Score
-from asia.ledger.events import Evaluated, Event, Proposed, Started
-from asia.ledger.view import published, replay
 from asia.problem.folds import whole
-from asia.search.decision import decide
 from asia.search.guard import simulated
 from tests.redteam.attacks.source import HONEST, fill_in
 from tests.redteam.evidence import conclude, said_steps, targets, worst_of
@@ -220,104 +217,3 @@ class Interruption:
             yield
         finally:
             self._workers.discard(worker)
-
-
-# Search whose candidates are nothing but scores.
-#
-# The rules of real searches decide which candidates are checked, kept and reported.
-
-
-HALVINGS = 15
-
-Spoil = Callable[[Score], Failure | None]
-
-
-class _Known(Evaluator):
-    """Gives a known score, and a known objection, without a worker."""
-
-    def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
-        self._known, self._spoil = score, spoil
-
-    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
-        """The score, from whatever start."""
-        del start, over
-        return Evaluation(self._known)
-
-    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """Return the objection that the candidate asks for."""
-        return None if self._spoil is None else self._spoil(self._known)
-
-
-class ScoreOnlySearch:
-    """A search with a Ladder of this step, or none."""
-
-    def __init__(self, ladder: float | None) -> None:
-        digest = "0" * 64
-        started = Started(
-            run="probe",
-            problem="probe",
-            agent="probe",
-            seed=0,
-            experiments=1000,
-            hours=None,
-            outputs=("y",),
-            lock_digest=digest,
-            protocol_digest=digest,
-            test_digest=None,
-            isolation="process",
-            isolation_notes=(),
-            environment={},
-            ladder=ladder,
-        )
-        self._events: list[Event] = [started]
-
-    def submit(self, score: Score, spoil: Spoil | None = None) -> Evaluated:
-        """Submit a score and return the result that an agent would see.
-
-        Args:
-            spoil: the way in which the candidate breaks a relation
-        """
-        view, evaluator = replay(self._events), _Known(score, spoil)
-        number, judged = len(view.experiments) + 1, decide(evaluator, "", view)
-        name, status, outcome = str(number), judged.status, judged.evaluation.outcome
-        proposed = Proposed(number, None, "explore", "probe", name, "h", "e", name, name)
-        self._events += [proposed, Evaluated(number, status, outcome, (), None, 0.0)]
-        result = published(replay(self._events)).experiment(number).result
-        assert result is not None
-        return result
-
-    def fail(self, failure: Failure) -> Failure:
-        """Submit a candidate that fails, and return the failure that an agent would see."""
-        number = len(replay(self._events).experiments) + 1
-        name = str(number)
-        self._events += [
-            Proposed(number, None, "explore", "probe", name, "h", "e", name, name),
-            Evaluated(number, failure.reason.status, failure, (), None, 0.0),
-        ]
-        shown = published(replay(self._events)).experiment(number).failure
-        assert shown is not None
-        return shown
-
-
-def turn(doubt: Callable[[float], bool], most: float) -> float:
-    """Find the threshold of a verdict by bisection: the largest share in [0, most] that is
-    refused."""
-    low, high = 0.0, most
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if doubt(middle) else (low, middle)
-    return low
-
-
-def forgetful(score: Score) -> Failure | None:
-    """Return the failure of a model whose outputs differ when a case is repeated, at any score."""
-    del score
-    return Failure(Reason.SUSPECT, "replay: the same case simulated again gives another output", 1)
-
-
-def one_start(bound: float) -> Spoil:
-    """Return the failure of a model that is so bad from later starts that the check fails if its
-    own V is below `bound`."""
-    words = "restart: the simulation is far worse from a later start on the same record"
-    failure = Failure(Reason.RESTART, words, 1)
-    return lambda score: failure if score.value < bound else None

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families
-from asia.agents.library.space import OneOf, Space, Span, applies
+from asia.agents.library.space import OneOf, Space, applies
 from asia.agents.view import AgentView, Facts, Proposal, Running, Trial
 
 if TYPE_CHECKING:
@@ -68,31 +68,10 @@ class BayesAgent:
                     family=row.name,
                     title=f"{row.label}, estimated",
                     hypothesis="Configurations like the better ones so far, by a tree-structured "
-                    f"Parzen estimator.{_record_of_others(view, rows)}",
+                    "Parzen estimator.",
                     expected="A lower V than the best, or information where few trials are.",
                 )
         return None
-
-
-def _record_of_others(view: AgentView, rows: Sequence[Family]) -> str:
-    """Describe which experiments of other agents in a relay it can use."""
-    others = [trial for trial in view.trials if _by_other(trial)]
-    known, strange = list[str](), list[str]()
-    for trial in others:
-        encoded = _encode_trial(trial, view.facts, rows)
-        if encoded is None:
-            strange.append(f"#{trial.number:02d}")
-        else:
-            total = len(encoded.params) + encoded.lost
-            known.append(f"#{trial.number:02d} ({len(encoded.params)} of {total} settings)")
-    if not others:
-        return ""
-    used = f" Of the experiments of others it uses {', '.join(known) or 'none'}"
-    return used + (f"; not in its space: {', '.join(strange)}." if strange else ".")
-
-
-def _by_other(trial: Trial | Running) -> bool:
-    return trial.agent not in ("", BayesAgent.name)
 
 
 def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> optuna.Study:
@@ -125,8 +104,6 @@ class _EncodedTrial:
     params: dict[str, Number]
     distributions: dict[str, BaseDistribution]
     """Distributions of the parameters."""
-    lost: int = 0
-    """Number of settings of another agent's trial outside its search space."""
 
 
 def _encode_trial(
@@ -134,8 +111,7 @@ def _encode_trial(
 ) -> _EncodedTrial | None:
     """Convert an earlier trial to the estimator's terms.
 
-    None for a source that is no recipe of the library, or lies outside the search space. Of another
-    agent's trial all settings inside are used: the estimator treats each setting on its own.
+    None for a source that is no recipe of the library, or lies outside the search space.
     """
     recipe = read_recipe(trial.source)
     names = [row.name for row in rows]
@@ -144,28 +120,20 @@ def _encode_trial(
     row = rows[names.index(recipe.family)]
     params: dict[str, Number] = {_FAMILY: names.index(row.name)}
     distributions: dict[str, BaseDistribution] = {_FAMILY: _choices(len(rows))}
-    lost: list[str] = []
     space = row.space(facts)
 
     def read(name: str, distribution: BaseDistribution) -> Number:
         word = name.rpartition(".")[2]
         parameter = None if word == _METHOD else space.find(word)
         value = recipe.get(word)
-        try:
-            if parameter is None:
-                number: Number = _method(row, facts, recipe)
-            elif isinstance(parameter, OneOf):
-                number = parameter.values.index(value)
-            elif isinstance(value, int | float) and parameter.low <= value <= parameter.high:
-                number = float(value)
-            else:
-                raise ValueError(word)
-        except ValueError:
-            # The value is outside the space: a placeholder stands for that of another agent.
-            if not _by_other(trial):
-                raise
-            lost.append(word)
-            return parameter.low if isinstance(parameter, Span) else 0
+        if parameter is None:
+            number: Number = _method(row, facts, recipe)
+        elif isinstance(parameter, OneOf):
+            number = parameter.values.index(value)
+        elif isinstance(value, int | float) and parameter.low <= value <= parameter.high:
+            number = float(value)
+        else:
+            raise ValueError(word)
         params[name], distributions[name] = number, distribution
         return number
 
@@ -173,7 +141,7 @@ def _encode_trial(
         _built(row, facts, read)
     except ValueError:
         return None
-    return _EncodedTrial(params, distributions, len(lost))
+    return _EncodedTrial(params, distributions)
 
 
 def _built(row: Family, facts: Facts, pick: Pick) -> Recipe:

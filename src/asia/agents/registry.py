@@ -3,7 +3,7 @@
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import cast
@@ -12,14 +12,13 @@ from asia._plugins import Part, load_target, parts_of
 from asia._text import one_line
 from asia.agents.bayes import BayesAgent
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.leading import LeadingAgent
+from asia.agents.leading import FOLLOWING, LeadingAgent, read_leading_settings
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.settings import LlmSettings
 from asia.agents.random import SPACES, RandomAgent
-from asia.agents.relay import LegPlan, RelayAgent, Runner, is_relay, read_relay
 from asia.agents.view import Agent, settings_of
 from asia.errors import UserError
-from asia.ledger.events import Leg, Started
+from asia.ledger.events import Started
 
 GROUP = "asia.agents"
 _CLASS = "class"
@@ -74,7 +73,7 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
     AgentRow("workspace", "candidates that are submitted from a folder"),
-    AgentRow("leading", "the candidates that led another search", reads_notes=False),
+    AgentRow("leading", "the candidates that led another search, then another agent"),
     AgentRow("mcp", "candidates that a client of the server submits"),
 )
 AGENTS: dict[str, Callable[[], Agent]] = {r.name: r.make for r in AGENT_ROWS if r.make is not None}
@@ -95,8 +94,7 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
     """Make an agent by name.
 
     A name is that of a built-in agent, one that a package registers, or `module:Class`, where the
-    current folder is searched first. A class is called without arguments. Several names, as in
-    `expert*5+bayes`, form a relay.
+    current folder is searched first. A class is called without arguments.
 
     Args:
         space: search space of `random`, one of `SPACES`
@@ -122,24 +120,10 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
     brought = {part.name: part for part in parts_of(GROUP)}
     if name in brought and name not in RESERVED:
         return _called(brought[name])
-    if plans := asked_relay(name):
-        runners: list[Runner] = []
-        for plan in plans:
-            one = choose_agent(plan.agent)
-            leg = Leg(one.agent.name, plan.experiments, dict(one.settings))
-            runners.append(Runner(one.agent, leg))
-        return NamedAgent(RelayAgent(runners))
     if ":" in name:
         return _called(name)
     known = ", ".join((*AGENTS, *sorted(brought.keys() - RESERVED)))
     raise UserError(f"no agent '{name}'; there is: {known}, or module:Class for one of your own")
-
-
-def asked_relay(text: str) -> tuple[LegPlan, ...]:
-    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent. Raises
-    UserError for legs that make no sense."""
-    brought = {part.name for part in parts_of(GROUP)}
-    return read_relay(text) if is_relay(text) and text not in brought else ()
 
 
 def make_agent(name: str, space: str | None = None) -> Agent:
@@ -164,7 +148,9 @@ def recorded_agent(
     if name == "llm":
         return LlmAgent(LlmSettings.from_record(settings), network=False)
     if name == LeadingAgent.name:
-        return LeadingAgent.from_record(settings)
+        candidates, agent, rest = read_leading_settings(settings)
+        following = recorded_agent(agent, rest, trusted)
+        return None if following is None else LeadingAgent(candidates, following)
     if _CLASS in settings and name not in RESERVED:
         recorded = settings[_CLASS]
         for part in parts_of(GROUP):
@@ -182,26 +168,18 @@ def recorded_agent(
     return make() if make is not None else None
 
 
-def recorded_agents(started: Started, trusted: Collection[str] = ()) -> tuple[Agent | None, ...]:
-    """Return the recorded agents of every leg of a relay, as `recorded_agent`; the one agent of any
-    other search."""
-    if not started.legs:
-        return (recorded_agent(started.agent, started.agent_settings, trusted),)
-    return tuple(recorded_agent(leg.agent, leg.settings, trusted) for leg in started.legs)
-
-
 def reads_notes(started: Started) -> bool:
-    """Return whether any agent of the search reads notes; one that is not built in sees them."""
-    deaf = {row.name for row in AGENT_ROWS if not row.reads_notes}
-    names = [leg.agent for leg in started.legs] or [started.agent]
-    return not deaf.issuperset(names)
+    """Return whether the agent of the search reads notes; one that is not built in sees them."""
+    name = started.agent
+    if name == LeadingAgent.name:
+        name = started.agent_settings.get(FOLLOWING, name)
+    return all(row.reads_notes for row in AGENT_ROWS if row.name == name)
 
 
-def can_read_records(names: Iterable[str]) -> bool:
-    """Return whether one of these agents can read the training records, so that V alone is no
-    evidence: all that write candidates, also those that are not built in."""
-    library = {row.name for row in AGENT_ROWS if not row.writes_code}
-    return not library.issuperset(names)
+def can_read_records(name: str) -> bool:
+    """Return whether this agent can read the training records, so that V alone is no evidence: all
+    that write candidates, also those that are not built in."""
+    return all(row.writes_code for row in AGENT_ROWS if row.name == name)
 
 
 def packages_of(name: str) -> tuple[str, ...]:

@@ -45,8 +45,6 @@ class Facts(KnownSystem):
         groups: names of the records held out together, one tuple a fold, () where folds are cut
             inside the records
         early_stopping: `validation` lets a fit ask for its score on the held-out part
-        ladder: the share of V by which a new best must be better to be reported, None where
-            every V is reported
         terms: computes terms that a linear model lacks, with the place ("at the input", "in the
             dynamics", "at the output") and the share of its residual that each explains, the
             largest first; () where nothing is found
@@ -62,7 +60,6 @@ class Facts(KnownSystem):
     budget: Effort = Effort()
     notes: str = ""
     strategies: str = ""
-    ladder: float | None = None
     linear: tuple[tuple[str, Any], ...] = ()
     terms: Callable[[], tuple[tuple[str, str, float], ...]] = field(
         default=tuple, compare=False, repr=False
@@ -95,15 +92,13 @@ class Trial:
     """Evaluated experiment.
 
     Attributes:
-        value, folds: V and V per fold; None and () when there is no score. With the Ladder
-            `folds` is () and `value` the last reported V, a new best where the status is `keep`
+        value, folds: V and V per fold; None and () when there is no score
         failure: description of the failure and its remedy
         error: message of the candidate itself: data, not to be trusted
         evidence: further findings as lines of text, for the best and the last trial; () for the
             others
         diagnoses: checks that do not pass on the training records, by name, with the share of the
             residual that each explains, the largest first; with `evidence`
-        agent: the proposing agent, "" where the asked agent proposed all
         lowest: with retests, whether its own fit was the best so far
         order: states that the fits report, median over the folds; None where they report none
         variant: variant that was scored in its place, `LINEAR` and `PARENT` for what it began with;
@@ -127,7 +122,6 @@ class Trial:
     error: str = field(default="", repr=False)
     evidence: tuple[str, ...] = field(default=(), repr=False)
     diagnoses: tuple[tuple[str, float], ...] = ()
-    agent: str = ""
     lowest: bool = False
     order: int | None = None
     variant: str = ""
@@ -156,7 +150,6 @@ class Running:
     hypothesis: str
     expected: str
     source: str = field(repr=False)
-    agent: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,8 +162,7 @@ class AgentView:
         notes: messages of the user during the search, oldest first
         linear, mean: V of the best linear model and of the mean of the training outputs, None
             where unknown
-        remaining: experiments left to the asked agent
-        leg: its place in a relay, 1-based, 0 where there is no relay
+        remaining: experiments left
         running: pending experiments, oldest first; () unless several are proposed ahead of
             their results
     """
@@ -183,7 +175,6 @@ class AgentView:
     is_known: Callable[[str], bool] = field(repr=False)
     notes: tuple[str, ...] = ()
     linear: float | None = None
-    leg: int = 0
     mean: float | None = None
     running: tuple[Running, ...] = ()
 
@@ -194,7 +185,7 @@ class AgentView:
 
     @property
     def experiments(self) -> int:
-        """Total budget of the asked agent, including all experiments before its leg."""
+        """Total budget."""
         return len(self.proposed) + self.remaining
 
     @property

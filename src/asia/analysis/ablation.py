@@ -214,8 +214,8 @@ def ablate(
     fits that are done, and that of all there may be. isolation: level of the candidates; None for
     the strongest of this machine.
 
-    Raises UserError when the search is not finished, is with ladder feedback, its winner is its
-    baseline, or it came without its artifacts.
+    Raises UserError when the search is not finished, its winner is its baseline, or it came without
+    its artifacts.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = chain.view

@@ -166,8 +166,8 @@ def confirm(
     the number of fits that are done, and that of all there may be. isolation: level of the
     candidates; None for the strongest of this machine.
 
-    Raises UserError when the search is not finished, is with ladder feedback, has no candidate with
-    a score, or came without its artifacts.
+    Raises UserError when the search is not finished, has no candidate with a score, or came without
+    its artifacts.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = chain.view
@@ -203,11 +203,6 @@ def check_repeatable(directory: Path, view: SearchView, what: str) -> None:
     """Raises UserError unless candidates of a finished search can be fitted again; what: for."""
     check_lock(directory, view.started)
     run = view.started.run
-    if view.started.ladder is not None:
-        raise UserError(
-            f"run '{run}' has ladder feedback, which hides the exact V: {what} would print "
-            "it, so use guard records or the sealed test to tell its candidates apart"
-        )
     if not view.complete:
         raise UserError(f"run '{run}' is not finished: {what} comes after a search")
     if view.best is None:

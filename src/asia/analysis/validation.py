@@ -252,19 +252,14 @@ def validate(
         isolation: level of the candidate; None for the strongest of this machine.
 
     Raises:
-        UserError: the run has no scored model, hides its scores, or came without its artifacts, or
-            the record cannot be read.
+        UserError: the run has no scored model or came without its artifacts, or the record cannot
+            be read.
         CandidateError: the model cannot simulate the record.
     """
     run = open_run(directory)
     chosen, best = model_to_use(run.view), run.view.best
     if chosen is None or best is None:
         raise UserError(f"run '{run.name}' has no scored model, so nothing to validate")
-    if run.view.started.ladder is not None:
-        raise UserError(
-            f"run '{run.name}' has ladder feedback, which hides the exact scores that a "
-            "validation report prints: validate a run without it"
-        )
     if not run.store.kept:
         raise UserError(without_artifacts(directory))
     problem = load_lock(directory / LOCK)
@@ -381,7 +376,7 @@ class _Validation:
 
     def _check_overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """Check for overfitting; () for an older ledger."""
-        errors = findings_of(self.run.store, self.best, bounded=False)
+        errors = findings_of(self.run.store, self.best)
         if not errors:
             return ()
         train = [float(np.mean(f.train_errors)) for f in errors]
@@ -394,7 +389,7 @@ class _Validation:
     def _training_records(self) -> tuple[Check, ...]:
         """Show which checks do not pass on the training records of a fold, which agents see and
         `asia show` prints; () where all pass."""
-        errors = findings_of(self.run.store, self.best, bounded=False)
+        errors = findings_of(self.run.store, self.best)
         failed = [
             f"{', '.join(one.name for one in fold.checks)} (fold {number})"
             for number, fold in enumerate(errors, 1)

@@ -2,7 +2,7 @@
 
 `experiment` is the number of an experiment, from 1. `failed` and `detail` say why something is
 missing, "" where it is not. `value` is V and `folds` its part of each fold; None and () for a
-failure. `leg` is the number of a leg of a relay, from 1; 0 where one agent proposes.
+failure.
 """
 
 from __future__ import annotations
@@ -112,7 +112,6 @@ class Exchanged:
     status: int
     """HTTP status; 0 when there was no reply."""
     usage: Usage | None = None
-    leg: int = 0
     event: Literal["exchanged"] = "exchanged"
 
 
@@ -131,7 +130,6 @@ class SessionStarted:
 
     session: int
     grant: float | None
-    leg: int = 0
     event: Literal["session_started"] = "session_started"
 
 
@@ -142,7 +140,6 @@ class SessionEnded:
     session: int
     outcome: str
     usage: Usage | None
-    leg: int = 0
     event: Literal["session_ended"] = "session_ended"
 
 
@@ -330,23 +327,8 @@ Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
 ]
-HandOverReason = Literal[
-    "planned", "saturated", "exhausted", "stuck", "tokens", "cost", "time", "agent"
-]
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
-
-
-@dataclass(frozen=True)
-class Leg:
-    """The part of a relay in which one agent proposes."""
-
-    agent: str
-    experiments: int | None = None
-    """Number of experiments of the leg; the baseline counts as one of the first leg. None for all
-    that remain, which only the last leg may have.
-    """
-    settings: dict[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True)
@@ -356,7 +338,6 @@ class Started:
     run: str
     problem: str
     agent: str
-    """Name of the agent, of a relay the names of all."""
     seed: int
     experiments: int
     hours: float | None
@@ -375,8 +356,6 @@ class Started:
     early_stopping: EarlyStopping = "inner"
     """With `validation`, candidates saw their score on the held-out parts: V is not leak-free."""
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
-    ladder: float | None = None
-    """Relative improvement of V that a new best needs to be shown; None if all V is shown."""
     guard_digest: str | None = None
     """Commits the guard records; None when the problem has none."""
     layers: tuple[str, ...] = ()
@@ -391,8 +370,10 @@ class Started:
     """Description of the held-out part of each fold; () in older ledgers."""
     residuals: ShownResidual = "train"
     """Residuals that agents saw: with `held_out`, those of the held-out samples."""
-    legs: tuple[Leg, ...] = ()
-    """The agents that propose one after the other; () where one agent does."""
+    legs: Annotated[tuple[()], _omitted(())] = ()
+    ladder: Annotated[None, _omitted(None)] = None
+    stop_folds: Annotated[Literal[False], _omitted(False)] = False
+    """Settings of older ledgers, which are refused where one is set."""
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
     the significance threshold; 0 where one fit decides, as in older ledgers."""
@@ -400,8 +381,6 @@ class Started:
     """Maximum number of concurrent experiments. Each is proposed once all but the last `parallel` -
     1 before it have their results.
     """
-    stop_folds: Annotated[bool, _omitted(False)] = False
-    """True if folds of a first fit are pruned once V must be above `Proposed.over`."""
     device: Annotated[Literal["cpu", "gpu"], _omitted("cpu")] = "cpu"
     """`gpu` in older ledgers only, where candidates trained networks on one."""
     gate: Annotated[bool, _omitted(False)] = False
@@ -454,13 +433,8 @@ class Proposed:
     """Digest of its normalised AST."""
     ticket: str = ""
     """The submission it came by; "" where an agent was asked."""
-    leg: int = 0
-    agent: str = ""
-    """The agent of that leg; "" where one agent proposes, and for the baseline."""
     remark: str = ""
     """Comment of the agent on the state of the search, for display; "" for none."""
-    over: Annotated[float | None, _omitted(None)] = None
-    """V above which the folds that are left do not count; None where all of them do."""
     fair: Annotated[bool, _omitted(False)] = False
     """True if the linear model is scored in its place where that is as good."""
     event: Literal["proposed"] = "proposed"
@@ -555,8 +529,6 @@ class Evaluated:
     elapsed: Annotated[float | None, _omitted(None)] = None
     """Seconds that the search waited for it, decision included; None where one experiment runs at
     a time, which takes `seconds`."""
-    ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
-    """Folds that were cancelled while they ran, see `asia.search.rules.FAR_ABOVE`."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
     confirmation: Annotated[Confirmation | None, _omitted(None)] = None
     """Gain of a new best where nobody could read the answers; None where it was not asked."""
@@ -579,26 +551,10 @@ class Landed:
     seconds: float
     """Duration of the fit and its simulations."""
     validation_scores: int = 0
-    ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
     variants: Annotated[tuple[Variant, ...], _omitted(())] = ()
     source: Annotated[ArtifactName | None, _omitted(None)] = None
     """As in `Evaluated`."""
     event: Literal["landed"] = "landed"
-
-
-@dataclass(frozen=True)
-class HandedOver:
-    """A leg of a relay is over and the next one begins."""
-
-    leg: int
-    """The leg that begins, 1-based."""
-    agent: str
-    reason: HandOverReason
-    """Why the one before is over."""
-    after: int
-    """Experiments that were made before."""
-    detail: str = ""
-    event: Literal["handed_over"] = "handed_over"
 
 
 @dataclass(frozen=True)
@@ -828,7 +784,7 @@ class Validated:
 
 
 Event = (
-    Started | ReferenceScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped
+    Started | ReferenceScored | Proposed | Evaluated | Landed | Extended | Stopped
     | Resumed | Steered | Noted | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
     | GuardLooked | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
 )  # fmt: skip

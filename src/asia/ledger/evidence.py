@@ -14,10 +14,9 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, Statement, stated
-from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
-from asia.errors import Reason, UserError
+from asia.errors import UserError
 from asia.judge.evaluation.results import FoldFindings
 from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.judge.scoring.repeated_fits import significance_threshold
@@ -202,47 +201,18 @@ def get_findings(store: Store, name: str) -> FoldFindings:
     return _read(store, name, _FINDINGS)
 
 
-def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple[FoldFindings, ...]:
+def findings_of(store: Store, experiment: Experiment) -> tuple[FoldFindings, ...]:
     """Return the findings of each fold; () for a failure and in older ledgers.
 
-    Held-out errors are left out if the experiment shows no score of its folds: an agent must not
-    learn the degree to which a candidate was found suspect.
-
-    Args:
-        bounded: true if the reader sees only the scores that the Ladder reports. Texts that a
-            candidate controls, its prints and the names and values of its parameters, are left out
-            then, because they could carry records; figures have two significant digits.
+    Held-out errors are left out if the experiment has no score: an agent must not learn the degree
+    to which a candidate was found suspect.
     """
-    result, score = experiment.result, experiment.score
+    result = experiment.result
     names = [fold.findings for fold in result.folds] if result else []
     found = [get_findings(store, name) for name in names if name is not None]
-    if score is None or not score.folds:
+    if experiment.score is None:
         found = [replace(one, errors=(), steps=(), held_out_residuals=()) for one in found]
-    if bounded:
-        found = [_limited(one) for one in found]
     return tuple(found)
-
-
-_RESIDUAL_FIGURES = ("mean", "error", "share", "gain")
-
-
-def _limited(found: FoldFindings) -> FoldFindings:
-    residuals = tuple(
-        replace(one, **{name: rounded(getattr(one, name), 2) for name in _RESIDUAL_FIGURES})
-        for one in found.residuals
-    )
-    return replace(
-        found,
-        train_errors=tuple(rounded(value, 2) for value in found.train_errors),
-        residuals=residuals,
-        compile_seconds=coarse(found.compile_seconds),
-        memory_mb=None if found.memory_mb is None else coarse(found.memory_mb),
-        numbers=None,
-        sample_seconds=None,
-        parameters=(),
-        printed="",
-        failed=(),
-    )
 
 
 def noise_of_repeats(view: SearchView, among: Collection[int] = ()) -> float | None:
@@ -371,32 +341,25 @@ def settings_of_run(directory: Path) -> RunSettings:
 
 
 def evidence_of(
-    experiment: Experiment, view: SearchView, store: Store, setting: RunSettings, *, bounded: bool
+    experiment: Experiment, view: SearchView, store: Store, setting: RunSettings
 ) -> ExperimentEvidence:
-    """Collect the evidence on an experiment that has a result.
-
-    Args:
-        experiment, view: with the scores that are reported to the reader.
-        bounded: as in `findings_of`.
-    """
+    """Collect the evidence on an experiment that has a result."""
     result, score, fold_names = experiment.result, experiment.score, view.started.folds
     assert result is not None
-    findings = findings_of(store, experiment, bounded=bounded)
+    findings = findings_of(store, experiment)
     count = len(result.folds)
     rows = zip(
         fold_names or ("",) * count,
-        [f.value for f in score.folds] if score and score.folds else [None] * count,
+        [f.value for f in score.folds] if score else [None] * count,
         result.folds,
         findings if len(findings) == count else [None] * count,
         strict=True,
     )
     differences = _differences(experiment, view)
-    noise, printed, failed_fold = None, "", ""
-    if not bounded:
-        compared = {experiment.number, *(one.experiment for one in differences)}
-        noise = noise_of_repeats(view, compared)
-        if result.output is not None and not result.folds:
-            printed = store.text(result.output)
+    noise = noise_of_repeats(view, {experiment.number, *(one.experiment for one in differences)})
+    printed, failed_fold = "", ""
+    if result.output is not None and not result.folds:
+        printed = store.text(result.output)
     failed = experiment.failure.fold if experiment.failure else None
     if failed and failed <= len(fold_names):
         failed_fold = f"fold {failed}, {fold_names[failed - 1]}"
@@ -413,7 +376,7 @@ def evidence_of(
         noise=noise,
         printed=printed,
         failed_fold=failed_fold,
-        variants=() if bounded else result.variants,
+        variants=result.variants,
     )
 
 
@@ -712,7 +675,7 @@ def identified_by_folds(
 
 
 def _fold_tables(run: Run, experiment: Experiment) -> list[Mapping[str, float]]:
-    findings = findings_of(run.store, experiment, bounded=False)
+    findings = findings_of(run.store, experiment)
     return [dict(one.parameters) for one in findings]
 
 
@@ -757,22 +720,3 @@ def _estimated_parameter(one: ParameterEstimate) -> EstimatedParameter:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def pruned_folds(view: SearchView) -> tuple[int, ...]:
-    """Return the number of pruned folds of each pruned experiment, without duplicates."""
-    folds = len(view.started.folds)
-    return tuple(
-        folds - e.failure.fold
-        for e in view.finished
-        if e.failure is not None
-        and e.failure.reason is Reason.BEHIND
-        and e.failure.fold is not None
-        and e.result is not None
-        and e.result.duplicate_of is None
-    )
-
-
-def cancelled_folds(view: SearchView) -> int:
-    """Return the number of pruned folds that were cancelled while they ran."""
-    return sum(e.result.ended_folds for e in view.finished if e.result is not None)

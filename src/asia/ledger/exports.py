@@ -9,7 +9,6 @@ from asia.ledger.chain import write_whole
 from asia.ledger.text import (
     describe_result,
     error_value,
-    hand_over_text,
     phase_text,
     seed_mean_words,
 )
@@ -26,14 +25,11 @@ def results_table(view: SearchView) -> str:
     """Write the experiments as a tab-separated table.
 
     Columns: experiment, val, status, description, parent, seconds of the evaluation, val of each
-    fold, and in a relay the agent. A failure has no number. With validation early stopping the name
-    of the second column says so.
+    fold. A failure has no number. With validation early stopping the name of the second column says
+    so.
     """
     val = view.v_name.replace("V", "val", 1)
-    rows = [
-        f"experiment\t{val}\tstatus\tdescription\tparent\tseconds\tfolds"
-        + ("\tagent" if view.leg else "")
-    ]
+    rows = [f"experiment\t{val}\tstatus\tdescription\tparent\tseconds\tfolds"]
     for e in view.finished:
         assert e.result is not None
         mean = seed_mean_words(e)
@@ -46,8 +42,6 @@ def results_table(view: SearchView) -> str:
             f"{e.result.seconds:.1f}",
             " ".join(f"{fold.value:.6f}" for fold in e.score.folds) if e.score else "",
         ]
-        if view.leg:
-            cells.append(table_cell(e.proposed.agent))
         rows.append("\t".join(cells))
     return "\n".join(rows) + "\n"
 
@@ -81,20 +75,14 @@ def journal(view: SearchView) -> str:
     parts = [head]
     finished = view.finished
     for e, later in zip_longest(finished, finished[1:]):
-        parts += [
-            f"## Hand-over\n\n{markdown_line(hand_over_text(event))}.\n"
-            for event in view.handed_over
-            if event.after == e.number - 1
-        ]
         p, r = e.proposed, e.result
         assert r is not None
         origin = f" (from experiment {p.parent})" if p.parent else ""
-        by = f", by {markdown_line(p.agent)}" if p.agent else ""
         following = markdown_line(later.proposed.title) if later else "none yet"
         remark = f"- **Remark:** {markdown_line(p.remark)}\n" if p.remark else ""
         parts.append(
             f"## Experiment {e.number}: {markdown_line(p.title)}\n\n"
-            f"- **Changed:** {markdown_line(p.family)}, {phase_text(p.phase)}{origin}{by}\n"
+            f"- **Changed:** {markdown_line(p.family)}, {phase_text(p.phase)}{origin}\n"
             f"- **Hypothesis:** {markdown_line(p.hypothesis)}\n"
             f"- **Expected:** {markdown_line(p.expected)}\n"
             f"- **Result:** {markdown_line(describe_result(e, view))}\n"

@@ -16,8 +16,6 @@ from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.repeated_fits import RANKED
 from asia.ledger.events import (
     Evaluated,
-    HandedOver,
-    HandOverReason,
     Phase,
     Stack,
     Started,
@@ -59,16 +57,6 @@ _PHASES: dict[Phase, str] = {
     "explore": "early in the budget",
     "refine": "later in the budget",
 }
-_ENDED: dict[HandOverReason, str] = {
-    "planned": "experiments spent",
-    "saturated": "no improvement in the last experiments",
-    "exhausted": "no proposals left",
-    "stuck": "no progress",
-    "tokens": "tokens spent",
-    "cost": "money spent",
-    "time": "time spent",
-    "agent": "it ended",
-}
 
 
 def error_value(value: float, decimals: int = 4) -> str:
@@ -105,15 +93,6 @@ def error_line(error: str, most: int = 300) -> str:
 def phase_text(phase: Phase) -> str:
     """Describe the part of the budget in which an experiment lies."""
     return _PHASES[phase]
-
-
-def hand_over_text(event: HandedOver) -> str:
-    """`bayes takes over after #05; stop reason of the previous agent: experiments spent`."""
-    detail = f" ({event.detail})" if event.detail else ""
-    return (
-        f"{event.agent} takes over after #{event.after:02d}; stop reason of the previous agent: "
-        f"{_ENDED[event.reason]}{detail}"
-    )
 
 
 def validation_summary(event: Validated) -> str:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from asia._text import coarse, rounded
-from asia.errors import KNOWN_ERRORS, Reason, UserError
+from asia.errors import Reason, UserError
 from asia.judge.scoring.outcome import Failure, Score
-from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import (
     Ablated,
     AblationFit,
@@ -22,7 +18,6 @@ from asia.ledger.events import (
     Extended,
     FoldEvidence,
     GuardLooked,
-    HandedOver,
     Landed,
     Noted,
     Proposed,
@@ -141,7 +136,6 @@ class SearchView:
 
     Attributes:
         budget, hours: limits as last extended, which was after experiment `extended_after`.
-        handed_over: changes of the agent in a relay.
         unsealing: true once the test was about to be opened.
         looks, looked: evaluations on the guard records, and whether one was made since the search
             stopped.
@@ -166,7 +160,6 @@ class SearchView:
     looked: bool = False
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
-    handed_over: tuple[HandedOver, ...] = ()
     repeats: tuple[Repeated, ...] = ()
     """Fits of candidates after the search, from other seeds."""
     confirmed: Confirmed | None = None
@@ -179,13 +172,6 @@ class SearchView:
     """The last validation report on the held-out samples, and on each new record."""
 
     @property
-    def leg(self) -> int:
-        """The leg of the relay whose agent proposes, 1-based; 0 where one agent does."""
-        if self.handed_over:
-            return self.handed_over[-1].leg
-        return 1 if self.started.legs else 0
-
-    @property
     def uncounted(self) -> int:
         """Number of experiments that the budget does not count: models that diverged as one of
         their family had done before, up to a quarter of the budget."""
@@ -193,17 +179,9 @@ class SearchView:
         return min(len(diverged) - len(set(diverged)), self.budget // 4)
 
     @property
-    def leg_end(self) -> int:
-        """The experiment after which the agent that proposes now does so no longer."""
-        legs = self.started.legs[: self.leg]
-        counts = [leg.experiments for leg in legs if leg.experiments is not None]
-        planned = sum(counts) if counts and len(counts) == len(legs) else self.budget
-        return min(self.budget, planned) + self.uncounted
-
-    @property
-    def agent(self) -> str:
-        """The agent that proposes now."""
-        return self.started.legs[self.leg - 1].agent if self.leg else self.started.agent
+    def most_experiments(self) -> int:
+        """The budget, with the experiments that it does not count."""
+        return self.budget + self.uncounted
 
     @property
     def finished(self) -> tuple[Experiment, ...]:
@@ -450,8 +428,6 @@ class Replay:
                 if (number, repeat) in self._repeats:
                     raise UserError(f"the ledger has repeat {repeat} of experiment {number} twice")
                 self._repeats[number, repeat] = event
-            case HandedOver():
-                self._view = replace(view, handed_over=(*view.handed_over, event))
             case Extended():
                 self._view = replace(
                     _continued(view),
@@ -491,86 +467,3 @@ def _continued(view: SearchView) -> SearchView:
     return replace(
         view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None, validated=()
     )
-
-
-# Scores that agents may see.
-#
-# The Ladder (Blum and Hardt, ICML 2015): a score is reported only if it is lower than the last
-# reported one by a step, and then rounded to a grid of steps. So the information in the reported
-# scores of any number of candidates is bounded by the number of steps. V has no upper limit, so
-# the step is relative and the grid geometric. As in their parameter-free form, the gain must
-# exceed its own scatter. Here this is the scatter over parts of the held-out records, because the
-# errors of single samples are correlated in time.
-
-
-def on_ladder(value: float, step: float) -> float:
-    """The nearest power of 1 - `step`."""
-    return (1.0 - step) ** round(math.log(value) / math.log1p(-step)) if value > 0 else 0.0
-
-
-def published(view: SearchView) -> SearchView:
-    """The view with the reported scores; unchanged without the Ladder. With it, an experiment that
-    was kept has its V on the grid. Any other with a score has the last reported V. None has scores
-    of its folds. A failure that depends on held-out outputs is reported, once a V was, as a score
-    that was not kept. Words of a candidate are left out, and figures that it can influence are
-    rounded."""
-    step = view.started.ladder
-    if step is None:
-        return view
-    reported: float | None = None
-    experiments = list(view.experiments)
-    for i, experiment in enumerate(experiments):
-        result, score, failure = experiment.result, experiment.score, experiment.failure
-        hidden = failure is not None and failure.reason is Reason.RESTART
-        if result is not None:
-            result = _bounded(result)
-            experiments[i] = replace(experiment, result=result)
-        if result is None or not (score or (hidden and reported is not None)):
-            continue
-        if score and (reported is None or result.status == "keep"):
-            reported = on_ladder(score.value, step)
-        assert reported is not None
-        # That a score beat the best is reported with a new best alone.
-        status = "discard" if hidden or result.status == "unconfirmed" else result.status
-        result = replace(result, status=status, outcome=Score(reported, ()))
-        experiments[i] = replace(experiment, result=result)
-    return replace(view, experiments=tuple(experiments))
-
-
-_OWN_WORDS = frozenset({Reason.SYNTAX, Reason.CONTRACT, Reason.CRASH, Reason.EXITED, Reason.MEMORY})
-_OWN_NUMBERS = frozenset({Reason.WRONG_LENGTH, Reason.UNSOLICITED, Reason.MODEL_SIZE})
-_LINE = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d{1,5})\b')
-_ERROR = re.compile(r"^(\w+)(?::|$)")
-_DIGITS = 2
-
-
-def _bounded(result: Evaluated) -> Evaluated:
-    """The result without what a candidate can say by words and long numbers: it has seen training
-    records, which other folds hold out."""
-    outcome = result.outcome
-    if isinstance(outcome, Failure):
-        outcome = replace(outcome, detail=_bounded_detail(outcome))
-    folds = tuple(
-        replace(
-            fold,
-            diagnostics=Diagnostics(*(rounded(v, _DIGITS) for v in astuple(fold.diagnostics))),
-            fit_seconds=coarse(fold.fit_seconds),
-        )
-        for fold in result.folds
-    )
-    return replace(result, outcome=outcome, folds=folds, seconds=coarse(result.seconds))
-
-
-def _bounded_detail(failure: Failure) -> str:
-    """Type of an exception, where Python or a library defines it, and the line of candidate.py."""
-    if failure.reason in _OWN_NUMBERS:
-        return ""
-    if failure.reason not in _OWN_WORDS:
-        return failure.detail
-    lines = failure.detail.strip().splitlines()
-    error = _ERROR.match(lines[-1]) if lines else None
-    name = error[1] if error is not None and error[1] in KNOWN_ERRORS else ""
-    places = _LINE.findall(failure.detail)
-    if not places:
-        return name
-    return f'File "candidate.py", line {places[-1]}\n{name or "an exception of its own"}'

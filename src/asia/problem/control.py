@@ -292,7 +292,6 @@ def control_problem(base: Problem, table: ControlTable, plant: Plant) -> Problem
         past_outputs=0,
         metric=base.protocol.metric,
         test=replace(base.protocol.test, metrics=(base.protocol.metric,), skip=0),
-        ladder=base.protocol.ladder,
         tolerance=control.tolerance,
     )
     return replace(

@@ -7,7 +7,6 @@ from typing import Literal
 
 EarlyStopping = Literal["inner", "validation"]
 FoldKind = Literal["contiguous", "forward", "tail", "leave_one_group_out"]
-Feedback = Literal["exact", "ladder"]
 ShownResidual = Literal["train", "held_out"]
 
 
@@ -90,9 +89,6 @@ class ProtocolRule:
     the held-out samples while it trains; V is then not leak-free."""
     horizon: int | None = None
     test: TestRule = TestRule()
-    ladder: float | None = None
-    """The share of V by which a new best must be better before agents see its score; None where
-    they see every V."""
     residuals: ShownResidual = "train"
     """Samples whose residuals agents see: of the training records, or of the held-out ones too, to
     which a model can then be fitted by hand."""

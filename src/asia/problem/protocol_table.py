@@ -1,7 +1,7 @@
 """`[protocol]` of a problem file: its tables, their checks, and conversion to and from a rule.
 
 The digest of a protocol covers every field of its rule, so that the rule has no room for words of
-the file alone (`feedback`, a fold count that may be left out): these are in the tables.
+the file alone (a fold count that may be left out): these are in the tables.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from asia.errors import UserError
 from asia.problem.metrics import known_metric, known_test_metric, listed_metrics
 from asia.problem.protocol import (
     EarlyStopping,
-    Feedback,
     FoldKind,
     FoldRule,
     Group,
@@ -28,7 +27,6 @@ from asia.problem.protocol import (
     TestRule,
 )
 
-LADDER_STEP = 0.1
 GroupsTable = Mapping[str, Sequence[str]]
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 _PastSamples = Annotated[int, Field(ge=0, le=100_000)]
@@ -92,8 +90,6 @@ class ProtocolTable:
     past_outputs: _PastSamples = ProtocolRule.past_outputs
     metric: Annotated[str, AfterValidator(known_metric)] = "rmse"
     early_stopping: EarlyStopping = "inner"
-    feedback: Feedback = "exact"
-    ladder_step: Annotated[float, Field(gt=0, lt=1)] | None = None
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     test: TestTable = TestTable()
     residuals: ShownResidual = "train"
@@ -109,7 +105,6 @@ class ProtocolTable:
             horizon=self.horizon,
             test=self.test.rule(),
             residuals=self.residuals,
-            ladder=(self.ladder_step or LADDER_STEP) if self.feedback == "ladder" else None,
         )
 
 
@@ -161,27 +156,7 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
             "[data.groups] belongs to leave_one_group_out folds: set protocol.folds = { kind = "
             '"leave_one_group_out" }, or leave the groups out'
         )
-    check_feedback(table.rule())
-    if table.ladder_step is not None and table.feedback == "exact":
-        raise UserError(
-            'protocol.ladder_step belongs to feedback = "ladder": set that, or leave the step out '
-            "to report every V to agents"
-        )
     _check_test(table, table.test.rule(), outputs)
-
-
-def check_feedback(rule: ProtocolRule) -> None:
-    """Raise UserError when a fit could learn held-out data through the agent's feedback."""
-    if rule.ladder is not None and rule.early_stopping == "validation":
-        raise UserError(
-            'protocol.feedback = "ladder" hides V from the agent, but early_stopping = '
-            '"validation" reports it to candidates: keep one of them'
-        )
-    if rule.ladder is not None and rule.residuals == "held_out":
-        raise UserError(
-            'protocol.feedback = "ladder" hides V from the agent, but residuals = "held_out" shows '
-            "it where each held-out sample is missed: keep one of them"
-        )
 
 
 def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) -> None:
@@ -279,11 +254,8 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
     """[protocol] of a rule, from which `ProtocolTable` reads the same rule, its groups apart."""
     grouped = rule.folds.kind == "leave_one_group_out"
     test = rule.test
-    ladder = rule.ladder
     return {
-        **{k: value for k, value in asdict(rule).items() if k not in ("ladder", "tolerance")},
-        "feedback": None if ladder is None else "ladder",
-        "ladder_step": ladder,
+        **{k: value for k, value in asdict(rule).items() if k != "tolerance"},
         # Left out where it says nothing new, as in locks written before there was a choice.
         "residuals": rule.residuals if rule.residuals != ProtocolRule.residuals else None,
         "folds": {

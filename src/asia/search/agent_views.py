@@ -22,7 +22,7 @@ from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.ledger.artifacts import Store
 from asia.ledger.evidence import RunSettings, evidence_of, findings_of
 from asia.ledger.text import evidence_lines
-from asia.ledger.view import Experiment, SearchView, published
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.search.rules import phase
 
@@ -37,7 +37,6 @@ def problem_facts(problem: Problem) -> Facts:
         description=problem.description,
         records=_standardised(problem),
         early_stopping=rule.early_stopping,
-        ladder=rule.ladder,
         folds=rule.folds.count,
         groups=tuple(group.records for group in rule.folds.groups),
         budget=Effort(problem.budget.experiments, problem.budget.fit_seconds),
@@ -83,30 +82,24 @@ def agent_view(
 ) -> AgentView:
     """The search as its agent may see it now. known: of earlier views of this search."""
     known = known or KnownTrials(store)
-    view = published(view)
     shown = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
-    if view.started.ladder is None:
-        linear = next((r for r in view.references if r.name == LINEAR_REFERENCE), None)
-        recipe = read_recipe(linear.source) if linear is not None else None
-        if recipe is not None:
-            facts = replace(facts, linear=recipe.config)
-        elif linear is not None and linear.structure is not None:
-            order, delay = linear.structure
-            known_linear = ("order", order), ("delay", delay), ("periodic", True)
-            facts = replace(facts, linear=known_linear)
+    linear = next((r for r in view.references if r.name == LINEAR_REFERENCE), None)
+    recipe = read_recipe(linear.source) if linear is not None else None
+    if recipe is not None:
+        facts = replace(facts, linear=recipe.config)
+    elif linear is not None and linear.structure is not None:
+        order, delay = linear.structure
+        known_linear = ("order", order), ("delay", delay), ("periodic", True)
+        facts = replace(facts, linear=known_linear)
     trials: list[Trial] = []
     for e in view.finished:
         trial = known.trial(e)
-        if view.started.ladder is not None:
-            trial = replace(trial, curves=(), order=None)  # numbers that a candidate chooses
         if e.number in shown:
-            bounded = view.started.ladder is not None
-            found = evidence_of(e, view, store, settings, bounded=bounded)
+            found = evidence_of(e, view, store, settings)
             # Without measured seconds and memory. Prompts of older ledgers must not change.
-            seeds = () if bounded else e.seed_values
-            lines = evidence_lines(found, seeds, measured=False) if found.recorded else ()
+            lines = evidence_lines(found, e.seed_values, measured=False) if found.recorded else ()
             shares = dict[str, float]()
             for one in (c for fold in found.findings for c in fold.checks or ()):
                 shares[one.name] = max(one.weight, shares.get(one.name, 0.0))
@@ -119,12 +112,11 @@ def agent_view(
         seed=view.started.seed,
         phase=phase(view),
         trials=tuple(trials),
-        remaining=view.leg_end - len(view.experiments),
+        remaining=view.most_experiments - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
-        linear=_reference(view, LINEAR_REFERENCE),
-        leg=view.leg,
-        mean=_reference(view, MEAN_REFERENCE),
+        linear=view.reference_value(LINEAR_REFERENCE),
+        mean=view.reference_value(MEAN_REFERENCE),
         running=tuple(
             Running(
                 p.experiment,
@@ -134,18 +126,10 @@ def agent_view(
                 p.hypothesis,
                 p.expected,
                 store.text(p.source),
-                p.agent,
             )
             for p in (e.proposed for e in view.running)
         ),
     )
-
-
-def _reference(view: SearchView, name: str) -> float | None:
-    """V of a reference model; None with the Ladder, which reports some V only."""
-    if view.started.ladder is not None:
-        return None
-    return view.reference_value(name)
 
 
 def digest(source: str) -> str:
@@ -186,7 +170,6 @@ def _trial(e: Experiment, store: Store) -> Trial:
         diagnostics=tuple(f.diagnostics for f in r.folds),
         curves=tuple(curves),
         error=failure.detail if failure else "",
-        agent=p.agent,
         lowest=r.lowest,
         order=_order(e, store),
         variant=next((one.name for one in r.variants if one.chosen), ""),
@@ -194,6 +177,6 @@ def _trial(e: Experiment, store: Store) -> Trial:
 
 
 def _order(e: Experiment, store: Store) -> int | None:
-    tables = (dict(found.parameters) for found in findings_of(store, e, bounded=False))
+    tables = (dict(found.parameters) for found in findings_of(store, e))
     known = [table["order [states]"] for table in tables if "order [states]" in table]
     return round(median_high(known)) if known else None

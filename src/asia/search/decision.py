@@ -9,13 +9,12 @@ the held-out samples of the folds do not show the gain, or show a loss in one fo
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from statistics import fmean, stdev
+from statistics import fmean
 
 from asia.agents.view import PARENT
 from asia.judge.evaluation.evaluator import Evaluator
@@ -26,7 +25,7 @@ from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Proposed, Retest, Status
-from asia.ledger.view import Experiment, SearchView, on_ladder
+from asia.ledger.view import Experiment, SearchView
 from asia.search.fair_trial import Tried, first_fit
 from asia.search.pending import retest_fits
 
@@ -83,11 +82,9 @@ def decide(
     store: Store | None = None,
 ) -> Decision:
     """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
-    handed over, must also come back bitwise the same from its bytes, and answer like a model. With
-    the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
-    say which one is kept. After an objection the folds stay. A new best whose gain is not confirmed
-    is neither kept nor handed over. tried: where its first fit was made before; store: artifacts of
-    the search."""
+    handed over, must also come back bitwise the same from its bytes, and answer like a model. After
+    an objection the folds stay. A new best whose gain is not confirmed is neither kept nor handed
+    over. tried: where its first fit was made before; store: artifacts of the search."""
     if tried is None:
         tried = first_fit(evaluator, source, view, proposed, store)
     source, evaluation = tried.source, tried.evaluation
@@ -118,9 +115,9 @@ def decide(
         if lowest and status == "discard":
             # From other seeds its method is no better. Its own fit is.
             status = "inconclusive"
-        if status == "keep" or lowest or view.started.ladder is not None:
+        if status == "keep" or lowest:
             failure = evaluator.objection(source, folds) if objected is None else objected.result()
-            if failure is None and confirm is not None and (status == "keep" or lowest):
+            if failure is None and confirm is not None:
                 confirmation = confirm(source, evaluation, view)
                 if confirmation is not None and not confirmation.confirmed:
                     status, lowest = "unconfirmed", False
@@ -221,26 +218,8 @@ def _decide_by_retests(
 
 
 def decide_by_one_fit(outcome: Outcome, view: SearchView) -> Status:
-    """Decide without retests: `keep` if V beats the incumbent's, else `discard`."""
+    """Decide without retests: `keep` if V is below the lowest so far, else `discard`."""
     if isinstance(outcome, Failure):
         return outcome.reason.status
-    return "keep" if beats(outcome, view) else "discard"
-
-
-def beats(score: Score, view: SearchView) -> bool:
-    """Return whether a score is a new best.
-
-    It must be below the lowest V so far. With the Ladder it must be below the reported V by more
-    than the step, and better over the parts by three standard errors.
-    """
-    best = view.best.score if view.best else None
-    if best is None:
-        return True
-    step = view.started.ladder
-    if step is None:
-        return score.value < best.value
-    if not score.value < on_ladder(best.value, step) * (1.0 - step):
-        return False
-    before, now = ([part for fold in s.folds for part in fold.parts] for s in (best, score))
-    gains = [a - b for a, b in zip(before, now, strict=True)]
-    return len(gains) > 1 and fmean(gains) > 3.0 * stdev(gains) / math.sqrt(len(gains))
+    best = view.best_value
+    return "keep" if best is None or outcome.value < best else "discard"

@@ -66,7 +66,6 @@ def first_fit(
         proposed: record of the proposal; None where it is of no search
         store: artifacts of the search
     """
-    over = None if proposed is None else proposed.over
     fair = proposed is not None and proposed.fair
     begins = _begins_with(view, proposed, store)
     sources, variants = choice(evaluator, source, begins, fair=fair)
@@ -74,7 +73,7 @@ def first_fit(
     parent = _parent(view, proposed)
     if begins.get(PARENT) == source and parent is not None and parent.result and store is not None:
         return Tried(source, evaluation_of(parent.result, evaluator.data.folds, store), variants)
-    return Tried(source, evaluator.evaluate(source, over=over), variants)
+    return Tried(source, evaluator.evaluate(source), variants)
 
 
 def choice(
@@ -112,9 +111,7 @@ def evaluation_of(landed: Landed | Evaluated, folds: Sequence[Fold], store: Stor
                 )
             )
     output = store.text(landed.output) if landed.output else ""
-    return Evaluation(
-        landed.outcome, tuple(results), output, landed.validation_scores, landed.ended_folds
-    )
+    return Evaluation(landed.outcome, tuple(results), output, landed.validation_scores)
 
 
 def _begins_with(

@@ -435,11 +435,10 @@ def refit_winner(
         return None
 
     def is_sound(e: Experiment) -> bool:
-        """Whether it passes the checks of a new best; with the Ladder all were checked."""
+        """Whether it passes the checks of a new best."""
         if e.kept or e.lowest:
             return True
-        known = view.started.ladder is not None or _passes(evaluator, e, store)
-        return known and gate.admits(e, best, view)
+        return _passes(evaluator, e, store) and gate.admits(e, best, view)
 
     with ExitStack() as opened:
         make = stacked
@@ -559,7 +558,7 @@ def _kept_estimates(store: Store, checked: CheckedRefit, best: Experiment) -> st
     """Those of the refit; without one, those of the fold models."""
     found: ParameterEstimates | EstimatedModel | None = checked.estimates
     if checked.model is None:
-        findings = findings_of(store, best, bounded=False)
+        findings = findings_of(store, best)
         found = fold_estimates([dict(one.parameters) for one in findings])
     if found is None or not found.parameters:
         return None

@@ -12,7 +12,6 @@ from pathlib import Path
 from asia._diagnostic import diagnostic
 from asia._timer import Activity, ActivityTimer
 from asia.agents.expert.diagnosis import why_nothing_helps
-from asia.agents.relay import agent_of_leg
 from asia.agents.view import (
     Agent,
     AgentStoppedError,
@@ -35,8 +34,6 @@ from asia.ledger.events import (
     Proposed,
     ReferenceScored,
     Refitted,
-    SessionEnded,
-    SessionStarted,
     Steered,
     Stopped,
 )
@@ -50,7 +47,7 @@ from asia.search.decision import decide
 from asia.search.final import refit_winner
 from asia.search.guard import Gate
 from asia.search.pending import PendingFits, keep_folds, keep_output, keep_source
-from asia.search.rules import bound_on_folds, next_leg, stop_reason
+from asia.search.rules import stop_reason
 from asia.search.steering import Steering
 
 # Propose, evaluate, keep or discard, each step written to the ledger, until a stop rule holds.
@@ -75,7 +72,7 @@ class Loop:
     baseline: str
     """Source of the first experiment."""
     agent: Agent
-    """Agent that proposes all candidates after the baseline; in a relay, several in sequence."""
+    """Agent that proposes all candidates after the baseline."""
     evaluator: Evaluator
     chain: Chain
     """The ledger, open for writing."""
@@ -123,23 +120,15 @@ class Loop:
         """References, search, refit, guard; what the ledger already holds is not redone."""
         if self.view.complete or self.view.unsealing:
             return self.view
-        self._attach()
+        if isinstance(self.agent, Attached):
+            self.agent.attach(LoopJournal(self))
         try:
             self._search()
         finally:
             self.pending_fits.close()
-            if isinstance(self._proposer, Closing):
-                self._proposer.leaving()
+            if isinstance(self.agent, Closing):
+                self.agent.leaving()
         return self.view
-
-    @property
-    def _proposer(self) -> Agent:
-        """Agent whose turn it is to propose."""
-        return agent_of_leg(self.agent, self.view.leg)
-
-    def _attach(self) -> None:
-        if isinstance(self._proposer, Attached):
-            self._proposer.attach(LoopJournal(self, self.view.leg))
 
     def _search(self) -> None:
         metric = self.problem.protocol.metric
@@ -157,7 +146,9 @@ class Loop:
         while self.view.stopped is None:
             stopped = self._advance()
             if stopped is not None:
-                self._end(stopped)
+                self.record(stopped)
+                if isinstance(self.agent, Closing):
+                    self.agent.stopped(stopped.reason)
         best = self.view.best
         if self.view.refitted is None and best is not None:
             with self.watch.activity(Activity.REFIT, swallows=True):
@@ -177,20 +168,6 @@ class Loop:
     def _shown(self) -> AgentView:
         """View of the search for an agent."""
         return agent_view(problem_facts(self.problem), self.view, self.store, self.known_trials)
-
-    def _end(self, stopped: Stopped) -> None:
-        """The end of the search, or of the leg of a relay that another one follows."""
-        proposer = self._proposer
-        following = next_leg(self.view, stopped)
-        if following is None:
-            self.record(stopped)
-        if isinstance(proposer, Closing):
-            proposer.stopped(stopped.reason)
-        if following is not None:
-            if isinstance(proposer, Closing):
-                proposer.leaving()
-            self.record(following)
-            self._attach()
 
     def record(self, event: Event) -> None:
         """Append to the ledger, rewrite the generated files, tell the listener. From any thread."""
@@ -254,14 +231,13 @@ class Loop:
         reason = stop_reason(view, self.problem.budget)
         if reason is not None:
             return Stopped(reason)
-        is_baseline = not view.experiments
         try:
             with self.watch.activity(Activity.AGENT):
-                if is_baseline:
+                if not view.experiments:
                     phase, proposal = "baseline", _baseline(self.baseline)
                 else:
                     shown = self._shown()
-                    phase, proposal = shown.phase, self._proposer.propose(shown)
+                    phase, proposal = shown.phase, self.agent.propose(shown)
                 if proposal is None:
                     return Stopped("exhausted")
                 source = self.store.put(as_bytes(proposal.source))
@@ -281,10 +257,7 @@ class Loop:
                 source=source,
                 digest=digest(proposal.source),
                 ticket=proposal.ticket,
-                leg=view.leg,
-                agent=view.agent if view.leg and not is_baseline else "",
                 remark=proposal.remark,
-                over=bound_on_folds(view),
                 fair=proposal.fair,
             )
         )
@@ -351,7 +324,6 @@ class Loop:
             threshold=decision.threshold,
             lowest=decision.lowest,
             elapsed=None if view.started.parallel == 1 else now - start,
-            ended_folds=evaluation.ended_folds,
             failed_checks=evaluation.failed_checks,
             confirmation=decision.confirmation,
             variants=decision.tried.variants,
@@ -364,12 +336,11 @@ class LoopJournal:
     """The ledger as an attached agent may use it."""
 
     loop: Loop
-    leg: int = 0
 
     @property
     def exchanges(self) -> tuple[Exchanged, ...]:
-        """Exchanges of this leg so far."""
-        return tuple(e for e in self.loop.view.exchanges if e.leg == self.leg)
+        """Exchanges so far."""
+        return self.loop.view.exchanges
 
     @property
     def experiments(self) -> int:
@@ -377,9 +348,7 @@ class LoopJournal:
         return len(self.loop.view.experiments)
 
     def record(self, event: Event) -> None:
-        """Append an event, with the leg where it is one of an agent."""
-        if isinstance(event, Exchanged | SessionStarted | SessionEnded):
-            event = replace(event, leg=self.leg)
+        """Append an event."""
         self.loop.record(event)
 
     def put(self, data: bytes) -> str:

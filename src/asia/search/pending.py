@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from asia._timer import Lane
-from asia.agents.relay import RelayAgent
 from asia.agents.view import Agent, proposes_ahead
 from asia.errors import UserError
 from asia.judge.evaluation.background import BackgroundJob, JobSettings
@@ -20,13 +19,11 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import FoldEvidence, Landed, Proposed
 from asia.ledger.evidence import put_findings
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.metrics import find_metric
-from asia.problem.protocol import ProtocolRule
 from asia.search.fair_trial import Tried, evaluation_of, first_fit
 
 
-def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:
-    """Raises UserError where candidates cannot be evaluated in the ways that were asked for."""
+def check_parallel(parallel: int, *, strict: bool) -> None:
+    """Raises UserError where so many experiments cannot be evaluated at a time."""
     if parallel < 1:
         raise UserError(f"--parallel {parallel}: expected at least 1")
     if parallel > 1 and strict:
@@ -34,30 +31,15 @@ def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: b
             f"--parallel {parallel} with --isolation-strict: strict isolation runs the workers "
             f"sequentially; omit one of the two"
         )
-    if not stop_folds:
-        return
-    # A sum over some folds must say something about V.
-    metric = find_metric(rule.metric)
-    if metric.direction != "lower" or metric.best != 0.0:
-        raise UserError(
-            f"--stop-folds with the metric {metric.name}: the completed folds give no lower bound "
-            f"on V; omit it, or use a metric that is never negative and 0 at best, such as rmse"
-        )
-    # Folds that are passed over must tell neither a candidate nor an agent something.
-    if rule.early_stopping != "inner" or rule.ladder is not None:
-        what = "a ladder" if rule.ladder is not None else "validation early stopping"
-        raise UserError(f"--stop-folds with {what}: V of every candidate is needed there; omit it")
 
 
 def check_steps_ahead(parallel: int, agent: Agent) -> None:
     """Raises UserError where an agent does not propose ahead of results, but should."""
     if parallel == 1 or proposes_ahead(agent):
         return
-    agents = [r.agent for r in agent.runners] if isinstance(agent, RelayAgent) else [agent]
-    name = next(each.name for each in agents if not proposes_ahead(each))
     raise UserError(
-        f"--parallel {parallel}: the agent {name} proposes one experiment at a time, from the "
-        f"result of the one before; omit --parallel. An agent of your own that reads "
+        f"--parallel {parallel}: the agent {agent.name} proposes one experiment at a time, from "
+        f"the result of the one before; omit --parallel. An agent of your own that reads "
         "view.running says so with proposes_ahead = True"
     )
 
@@ -175,7 +157,6 @@ class PendingFits:
                 output=keep_output(self._store, evaluation.output),
                 seconds=seconds,
                 validation_scores=evaluation.validation_scores,
-                ended_folds=evaluation.ended_folds,
                 variants=tried.variants,
                 source=keep_source(self._store, tried, proposed),
             )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from asia._progress import tracked
-from asia.agents.registry import recorded_agents
+from asia.agents.registry import recorded_agent
 from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, DivergedError
 from asia.errors import InternalError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -23,13 +23,10 @@ from asia.ledger.events import (
     Evaluated,
     Event,
     Exchanged,
-    HandedOver,
-    HandOverReason,
     Proposed,
     ReferenceScored,
     Status,
     Stopped,
-    StopReason,
 )
 from asia.ledger.run import Run, open_run
 from asia.ledger.verification import check_lock
@@ -39,7 +36,6 @@ from asia.problem.problem import Problem
 from asia.search.agent_views import agent_view, as_bytes, problem_facts
 from asia.search.decision import decide
 from asia.search.guard import Gate
-from asia.search.rules import stop_reason
 from asia.search.run import (
     LOCK,
     environment,
@@ -128,15 +124,14 @@ def replay_run(
         raise UserError(without_artifacts(directory))
     check_lock(directory, started)
     problem = load_lock(directory / LOCK)
-    agents = recorded_agents(started, trusted)
+    agent = recorded_agent(started.agent, started.agent_settings, trusted)
     level = level_here(isolation)
     notes: list[str] = []
     if level.value != started.isolation:
         notes.append(f"isolation {level.value} here, {started.isolation} then")
-    here = environment(started.agent, *(leg.agent for leg in started.legs))
-    notes += environment_changes(started.environment, here)
+    notes += environment_changes(started.environment, environment(started.agent))
     evaluator = make_evaluator(problem, run.view, isolation=level, controllers=True)
-    replaying = _Replaying(run, problem, evaluator, agents, tolerance, on_item)
+    replaying = _Replaying(run, problem, evaluator, agent, tolerance, on_item)
     replaying.run_all()
     answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
     return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), tuple(notes))
@@ -149,7 +144,8 @@ class _Replaying:
     run: Run
     problem: Problem
     evaluator: Evaluator
-    agents: tuple[Agent | None, ...]
+    agent: Agent | None
+    """None if candidates were submitted from outside."""
     tolerance: float
     on_item: Callable[[Replayed], None]
     items: list[Replayed] = field(default_factory=list[Replayed])
@@ -161,38 +157,26 @@ class _Replaying:
     def run_all(self) -> None:
         """Replay every event in order, each with the view before it."""
         run, events = self.run, [line.event for line in self.run.lines]
-        # A journal for each agent, with the exchanges of its own leg.
-        journals: list[_ReplayJournal] = []
-        for place, agent in enumerate(self.agents):
-            leg = place + 1 if run.view.started.legs else 0
-            own = tuple(e for e in run.view.exchanges if e.leg == leg)
-            journals.append(_ReplayJournal(run.store, own))
-            if isinstance(agent, Attached):
-                agent.attach(journals[-1])
+        journal = _ReplayJournal(run.store, run.view.exchanges)
+        if isinstance(self.agent, Attached):
+            self.agent.attach(journal)
         self._references([event for event in events if isinstance(event, ReferenceScored)])
         asked: dict[int, Replayed] = {}
         for place, event in enumerate(tracked(events, "event")):
             match event:
                 case Proposed():
                     before = replay(events[:place])
-                    for journal in journals:
-                        journal.experiments = len(before.experiments)
+                    journal.experiments = len(before.experiments)
                     asked[event.experiment] = self._propose(event, before)
                 case Evaluated():
                     item = asked.pop(event.experiment)
                     self._add(self._evaluate(item, event, replay(events[:place])))
-                case HandedOver():
-                    self._end(f"hand-over to {event.agent}", event.reason, replay(events[:place]))
-                case Stopped(reason="exhausted") if self.agents[-1] is not None:
-                    self._end("stop", event.reason, replay(events[:place]))
+                case Stopped(reason="exhausted") if self.agent is not None:
+                    self._add(self._stop(self.agent, replay(events[:place])))
                 case _:
                     pass
         for item in asked.values():
             self._add(replace(item, outcome="unfinished"))
-
-    def _agent(self, before: SearchView) -> Agent | None:
-        """The agent that proposed then; None if candidates were submitted from outside."""
-        return self.agents[max(0, before.leg - 1)]
 
     def _add(self, item: Replayed) -> None:
         self.items.append(item)
@@ -216,16 +200,15 @@ class _Replaying:
         """Ask again, and compare every word of the answer."""
         item = Replayed(f"#{event.experiment:02d}", "same", "taken")
         source = self.run.store.get(event.source)
-        agent = self._agent(before)
         detail = ""
         if event.phase == "baseline":
             if as_bytes(first_source(self.problem)) != source:
                 detail = "the baseline differs"
-        elif agent is None:
+        elif self.agent is None:
             return item
         else:
             try:
-                proposal = agent.propose(self._seen(before))
+                proposal = self.agent.propose(self._seen(before))
                 detail = "" if proposal else "the agent has no proposal here"
             except DivergedError as error:
                 proposal, detail = None, str(error)
@@ -274,31 +257,14 @@ class _Replaying:
             return _concluded(item, "differs", "the result with another seed differs")
         return item
 
-    def _end(self, name: str, reason: HandOverReason | StopReason, before: SearchView) -> None:
-        """The end of a leg or of the search: the agent, or the rule, must end it again."""
-        agent = self._agent(before)
-
-        def agent_ends() -> bool:
-            if agent is None:
-                return False
-            try:
-                return agent.propose(self._seen(before)) is None
-            except AgentStoppedError:
-                return True
-
-        by_rule = stop_reason(before, self.problem.budget)
-        match reason:
-            case "exhausted" if agent is not None:
-                ended = agent_ends()
-            case "planned":
-                ended = by_rule == "budget"
-            case "saturated":
-                ended = by_rule == "saturated" or agent_ends()
-            case _:
-                self._add(Replayed(name, "same", "taken", detail=reason))
-                return
+    def _stop(self, agent: Agent, before: SearchView) -> Replayed:
+        """The end of the search: the agent must end it again."""
+        try:
+            ended = agent.propose(self._seen(before)) is None
+        except AgentStoppedError:
+            ended = True
         detail = "" if ended else "the agent continues here"
-        self._add(Replayed(name, "same" if ended else "differs", "same", detail=detail))
+        return Replayed("stop", "same" if ended else "differs", "same", detail=detail)
 
     def _compare(self, item: Replayed, there: Outcome, here: Outcome) -> Replayed:
         item = replace(item, V=_value(there), again=_value(here))

@@ -16,7 +16,6 @@ from typing import Final, get_args
 
 from asia._plugins import parts, version_of
 from asia.agents.registry import can_read_records, packages_of
-from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
@@ -35,7 +34,7 @@ from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation, Probe
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain, write_whole
-from asia.ledger.events import RESUMABLE, Extended, Leg, Resumed, Started
+from asia.ledger.events import RESUMABLE, Extended, Resumed, Started
 from asia.ledger.exports import write_exports
 from asia.ledger.folder import check_run_folder
 from asia.ledger.looks import copy_words, look_by_copy
@@ -48,21 +47,19 @@ from asia.problem.load import with_models
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
 from asia.problem.protocol import EarlyStopping
-from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
 from asia.search.decision import RETEST_LIMIT
 from asia.search.loop import Loop, OnEvent
-from asia.search.pending import check_steps_ahead, check_ways
+from asia.search.pending import check_parallel, check_steps_ahead
 from asia.search.steering import RunningLosses
 
 # Environment that outcomes and prompts depend on: Python, packages, model library.
 
 
-def environment(*agents: str) -> dict[str, str]:
+def environment(agent: str) -> dict[str, str]:
     """Python, platform, versions of packages and plugins, and the digest of the model
     library. Raises UserError as `asia._plugins.parts`."""
-    names = [*installed_libraries(), "cloudpickle", "asia-sysid"]
-    names += [package for name in agents for package in packages_of(name)]
+    names = [*installed_libraries(), "cloudpickle", "asia-sysid", *packages_of(agent)]
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -130,14 +127,14 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
                 )
 
 
-def guard_share(agents: Iterable[str], wanted: bool | None) -> float | None:
+def guard_share(agent: str, wanted: bool | None) -> float | None:
     """Return the share of the training records to hold back as guard records; None for none.
 
     Args:
-        agents: names of the agents that propose.
-        wanted: choice of the user; None to hold some back where an agent can read the rest.
+        agent: name of the agent.
+        wanted: choice of the user; None to hold some back where the agent can read the rest.
     """
-    held = can_read_records(agents) if wanted is None else wanted
+    held = can_read_records(agent) if wanted is None else wanted
     return GUARD_SHARE if held else None
 
 
@@ -185,9 +182,7 @@ def prepare(
     isolation: Isolation | None = None,
     isolation_strict: bool = False,
     agent_settings: Mapping[str, str] | None = None,
-    legs: Sequence[Leg] = (),
     parallel: int = 1,
-    stop_folds: bool = False,
 ) -> Prepared:
     """Check everything a search needs and compare it with an existing run. Writes nothing.
 
@@ -196,32 +191,25 @@ def prepare(
         isolation: level of candidates; None for the strongest that is available.
         isolation_strict: true to fit the folds of a candidate sequentially.
         agent_settings: settings of the agent's proposals besides its name.
-        legs: legs of a relay, as `legs_of` its agent.
         parallel: number of concurrent experiments.
-        stop_folds: true to prune the remaining folds of a candidate that is far behind the best.
 
     Raises:
-        UserError: the folds cannot be made, the test does not fit, the legs do not fit into the
-            budget, the run exists with other settings, or several experiments are requested with
-            sequential folds.
+        UserError: the folds cannot be made, the test does not fit, the run exists with other
+            settings, or several experiments are requested with sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
-    names = [leg.agent for leg in legs] or [agent_name]
-    for one in (agent_name, *names):
-        if problem.control is not None and one in _MODELS_ONLY:
-            raise UserError(
-                f"agent {one} proposes models, and '{problem.name}' asks for a controller: use "
-                "expert, llm, mcp or an agent of your own"
-            )
-    check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
+    if problem.control is not None and agent_name in _MODELS_ONLY:
+        raise UserError(
+            f"agent {agent_name} proposes models, and '{problem.name}' asks for a controller: use "
+            "expert, llm, mcp or an agent of your own"
+        )
+    check_parallel(parallel, strict=isolation_strict)
     check_baseline(problem)
     # The file's schema checks a budget that was read; this one may come from anywhere.
     if budget.experiments < 1:
         raise UserError(f"a budget of {budget.experiments} experiments: at least 1 is needed")
     if budget.hours is not None and not budget.hours > 0:
         raise UserError(f"a budget of {budget.hours:g} hours: more than 0 are needed")
-    if legs:
-        check_relay_budget(legs, budget.experiments)
     folds = make_folds(problem.train, rule)
     sealed = replace(seal(problem), guard=guard_digest(problem))
     directory = runs / (name or run_name(problem, agent_name, seed))
@@ -263,25 +251,20 @@ def prepare(
         test_digest=sealed.sha256,
         isolation=found.level.value,
         isolation_notes=found.notes,
-        environment=environment(agent_name, *(leg.agent for leg in legs)),
+        environment=environment(agent_name),
         early_stopping=rule.early_stopping,
         residuals=rule.residuals,
         agent_settings=dict(agent_settings or {}),
-        ladder=rule.ladder,
         guard_digest=sealed.guard,
         layers=tuple(layer.value for layer in found.layers),
         salt=secrets.token_hex(16),
         isolation_strict=isolation_strict,
         folds=fold_names(folds, rule),
-        # The number of the last leg is the budget's: a larger budget extends it.
-        legs=(*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:])),
-        # The Ladder has a threshold of its own, and retests would say by their time what is kept.
-        retests=0 if rule.ladder is not None else budget.retests,
+        retests=budget.retests,
         parallel=parallel,
-        stop_folds=stop_folds,
-        gate=problem.control is None and can_read_records(names),
+        gate=problem.control is None and can_read_records(agent_name),
         retest_limit=RETEST_LIMIT,
-        by_folds=rule.ladder is None and problem.control is None,
+        by_folds=problem.control is None,
     )
     return Prepared(problem, directory, lock, started, resumes)
 
@@ -412,29 +395,16 @@ def make_evaluator(
 
 
 def with_early_stopping(problem: Problem, setting: str) -> Problem:
-    """The problem with this setting instead of its file's. Raises UserError for another word, or
-    one that the protocol's feedback rules out."""
+    """The problem with this setting instead of its file's. Raises UserError for another word."""
     if problem.control is not None and setting != "inner":
         raise UserError('controllers are designed without scores: keep --early-stopping "inner"')
     for known in get_args(EarlyStopping):
         if setting == known:
-            rule = replace(problem.protocol, early_stopping=known)
-            check_feedback(rule)
-            return replace(problem, protocol=rule)
+            return replace(problem, protocol=replace(problem.protocol, early_stopping=known))
     raise UserError(
         f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
         "choose one, or leave it out for the problem's own"
     )
-
-
-def with_relay_budget(problem: Problem, legs: Sequence[Leg]) -> Problem:
-    """Return the problem with the sum of the legs' experiments as its budget, if it allows as many;
-    for a search without a given number of experiments.
-    """
-    total = relay_budget(legs) if legs else None
-    if total is None or total > problem.budget.experiments:
-        return problem
-    return replace(problem, budget=replace(problem.budget, experiments=total))
 
 
 def check_baseline(problem: Problem) -> None:
@@ -459,28 +429,19 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
                 f"run '{start.run}' was started with {what}, which this version does not support: "
                 "choose another --name"
             )
-    # The settings of each agent, those of its leg in a relay; other agents differ in their name.
-    legs = zip(start.legs, wanted.legs, strict=False)
-    pairs = [
-        (start.agent_settings, wanted.agent_settings),
-        *((one.settings, other.settings) for one, other in legs),
-    ]
+    settings = start.agent_settings, wanted.agent_settings
     for what, there, now in (
         ("agent", start.agent, wanted.agent),
         ("seed", start.seed, wanted.seed),
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("--parallel", start.parallel, wanted.parallel),
-        *(
-            (what, *("on" if on else "off" for on in pair))
-            for what, pair in (
-                ("--stop-folds", (start.stop_folds, wanted.stop_folds)),
-                ("the gate of the guard records", (start.gate, wanted.gate)),
-            )
+        (
+            "the gate of the guard records",
+            *("on" if on else "off" for on in (start.gate, wanted.gate)),
         ),
         *(
-            (f"an agent with {name}", *(s.get(name, "its default") for s in (before, after)))
-            for before, after in pairs
-            for name in dict.fromkeys([*before, *after])
+            (f"an agent with {name}", *(s.get(name, "its default") for s in settings))
+            for name in dict.fromkeys([*settings[0], *settings[1]])
         ),
     ):
         if there != now:

@@ -118,8 +118,7 @@ class ScoreCheck:
                 self._store.get_arrays(one.y_hat, fold.shapes)
                 for one, fold in zip(event.folds, self._folds, strict=True)
             ]
-            in_parts = rule.ladder is not None
-            return score_outputs(self._folds, y_hat, rule.metric, in_parts=in_parts)
+            return score_outputs(self._folds, y_hat, rule.metric)
         except (CandidateError, UserError) as error:
             raise UserError(
                 f"{where} has V, but its simulations cannot be scored: {error}"

@@ -31,8 +31,6 @@ from asia.judge.sandbox.worker.process import peak_memory_mb
 from asia.judge.scoring.outcome import Failure
 from asia.problem.budget import Budget
 from asia.problem.folds import Fold, make_folds
-from asia.problem.protocol_table import LADDER_STEP
-from tests.redteam.arena import ScoreOnlySearch
 from tests.redteam.attacks.searches import Scene
 from tests.redteam.attacks.source import candidate
 from tests.redteam.problem import SmallProblem, small_problem
@@ -140,18 +138,13 @@ def _talk_in_a_dry_run(_: Scene) -> SearchAttackResult:
     fold, heard = make_folds(problem.records, problem.rule)[0], list[str]()
     for level in _levels():
         short = made_up_fold(fold, problem.rule)
-        tried, real = (_evaluator(problem, one, level) for one in (short.fold, fold))
+        tried = _evaluator(problem, short.fold, level)
         for name, text in SPEAKERS.items():
             source = _filled(text, problem)
             dry = dry_run(tried, short, source, 20.0)
             words = f"{dry.output}\n{dry.failure.detail if dry.failure else ''}"
             if _exposed(words, fold, whole=True):
                 heard.append(f"{name} in a dry run at {level}")
-            outcome = real.evaluate(source).outcome
-            if isinstance(outcome, Failure):
-                detail = ScoreOnlySearch(LADDER_STEP).fail(outcome).detail
-                if _exposed(detail, fold, whole=True):
-                    heard.append(f"{name} in an experiment at {level}")
     note = ", ".join(heard) or f"{len(SPEAKERS)} ways of saying a measured value were not heard"
     return SearchAttackResult(bool(heard), (Barrier.FEEDBACK,), note, flagged=False)
 
@@ -355,8 +348,8 @@ LIMITS = (
     SearchAttack(
         48,
         "speak in a dry run",
-        'says measured values in a dry run, and in a failure with feedback = "ladder": by prints, '
-        "messages, names and lines of errors, and the size of a model",
+        "says measured values in a dry run: by prints, messages, names and lines of errors, and "
+        "the size of a model",
         _talk_in_a_dry_run,
         _talk_plainly,
         (Barrier.FEEDBACK,),

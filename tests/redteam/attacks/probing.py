@@ -1,21 +1,18 @@
-"""Extraction of held-out data from scores or verdicts: an agent submits a baseline plus one cosine
-at a time and solves for the hidden error."""
+"""Extraction of held-out data from scores: an agent submits a baseline plus one cosine at a time,
+and solves for the hidden error."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
-from asia.problem.protocol_table import LADDER_STEP
-from tests.redteam.arena import (
-    HALVINGS,
-    ScoreOnlySearch,
-    Spoil,
-    forgetful,
-    one_start,
-    turn,
+from asia.judge.scoring.confirmation import (
+    ComparedParts,
+    Confirmation,
+    paired_gain,
+    share_gained,
 )
+from asia.judge.scoring.outcome import combine, score_fold
 from tests.redteam.attacks.searches import Scene
 from tests.redteam.attacks.source import candidate
 from tests.redteam.evidence import scores_better
@@ -25,16 +22,14 @@ from tests.redteam.types import Barrier, CandidateAttack, SearchAttack, SearchAt
 QUERIES = 200
 _SAMPLES, _ERROR, _SIZE = 2000, 0.3, 0.3
 _GAIN = 0.9
-_WORSE, _STEP = 0.25, 0.01
 
 Ask = Callable[[Array], float]
-Doubt = Callable[[Array], bool]
 
 
-def hidden_error() -> Array:
+def hidden_error(record: int = 9) -> Array:
     """Return the error of the baseline for an output of unit standard deviation: coloured, of
     0.3."""
-    rng = np.random.default_rng(9)
+    rng = np.random.default_rng(record)
     error = np.zeros(_SAMPLES)
     for k in range(1, _SAMPLES):
         error[k] = 0.9 * error[k - 1] + rng.normal()
@@ -65,56 +60,10 @@ def probe(ask: Ask) -> Array:
     return min((solved, greedy, np.zeros(_SAMPLES)), key=ask)
 
 
-def bisect(ask: Ask, doubt: Doubt) -> Array:
-    """Return the correction (T,) that verdicts reveal.
-
-    The candidate to beat is a baseline made worse. The amount added to a better one is bisected to
-    the threshold of the verdict; there each cosine changes the verdict by its sign.
-
-    Args:
-        doubt: whether a candidate with that correction, which breaks a relation on purpose, is
-            refused
-    """
-    worse = _wave(_SAMPLES // 2)
-    ask(_WORSE * worse)
-    edge = turn(lambda share: doubt(share * worse), _WORSE) * worse
-    found = np.zeros(_SAMPLES)
-    for k in range(QUERIES - HALVINGS - 1):
-        found += _STEP * _wave(k) * (1 if doubt(edge + _STEP * _wave(k)) else -1)
-    return min((found, np.zeros(_SAMPLES)), key=exact)
-
-
 def exact(correction: Array) -> float:
-    """V in full."""
-    return _score(correction).value
-
-
-def _score(correction: Array) -> Score:
-    """Return the score of the baseline plus a correction, as the search scores with the Ladder."""
+    """V of the baseline plus a correction."""
     y, y_hat = hidden_error()[:, None], correction[:, None]
-    return combine([score_fold([y], [y_hat], np.ones(1), "rmse", in_parts=True)])
-
-
-class Ladder:
-    """A search with the Ladder.
-
-    Args:
-        spoil: how candidates break a relation in `doubt`
-    """
-
-    def __init__(self, spoil: Spoil | None = None) -> None:
-        self._search = ScoreOnlySearch(LADDER_STEP)
-        self._spoil = spoil
-
-    def ask(self, correction: Array) -> float:
-        """V as it is reported."""
-        reported = self._search.submit(_score(correction)).outcome
-        assert isinstance(reported, Score)
-        return reported.value
-
-    def doubt(self, correction: Array) -> bool:
-        """Return whether the candidate, which breaks a relation, is refused."""
-        return isinstance(self._search.submit(_score(correction), self._spoil).outcome, Failure)
+    return combine([score_fold([y], [y_hat], np.ones(1), "rmse")]).value
 
 
 def _wave(k: int) -> Array:
@@ -122,25 +71,28 @@ def _wave(k: int) -> Array:
     return np.sqrt(2.0) * np.cos(np.pi * (k + 1) * times)
 
 
-def _with_ladder(_: Scene) -> SearchAttackResult:
-    found = [probe(Ladder().ask)]
-    for spoil in (forgetful, one_start(_ERROR + 0.05)):
-        ladder = Ladder(spoil)
-        found.append(bisect(ladder.ask, ladder.doubt))
-    value = min(map(exact, found))
-    note = f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries on a ladder of {LADDER_STEP:g}"
-    return SearchAttackResult(value < _GAIN * _ERROR, (Barrier.FEEDBACK,), note, flagged=False)
+def _with_the_gate(_: Scene) -> SearchAttackResult:
+    correction = probe(exact)
+    guard, still = hidden_error(10)[:, None], np.zeros((_SAMPLES, 1))
+    compared = ComparedParts([guard], [still], [correction[:, None]], np.ones(1))
+    gain = share_gained(_ERROR, exact(correction))
+    confirmation = Confirmation(1, gain, paired_gain([compared], "rmse"))
+    assert confirmation.guard is not None
+    note = (
+        f"V {_ERROR:.3f} to {exact(correction):.3f} by {QUERIES} queries; gain on the guard "
+        f"{confirmation.guard.value:.2f}"
+    )
+    return SearchAttackResult(confirmation.confirmed, (Barrier.GUARD,), note, flagged=False)
 
 
 PROBING = (
     SearchAttack(
         29,
         "read the data out of scores",
-        "submits a baseline plus one cosine at a time and solves for the held-out error, by scores "
-        'and by verdicts on models spoilt on purpose (with feedback = "ladder")',
-        _with_ladder,
+        "submits a baseline plus one cosine at a time and solves for the held-out error",
+        _with_the_gate,
         lambda _: exact(probe(exact)) < _GAIN * _ERROR,
-        (Barrier.FEEDBACK,),
+        (Barrier.GUARD,),
     ),
 )
 

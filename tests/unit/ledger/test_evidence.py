@@ -23,7 +23,7 @@ from asia.ledger.evidence import (
     shared_residuals,
 )
 from asia.ledger.text import evidence_lines, last_lines, minima_lines, parameter_lines
-from asia.ledger.view import Experiment, SearchView, published, replay
+from asia.ledger.view import Experiment, SearchView, replay
 
 from .conftest import proposed, started
 
@@ -58,13 +58,9 @@ def fold_score(value: float) -> FoldScore:
 SCORE = Score(0.3, (fold_score(0.29), fold_score(0.31)))
 
 
-def view(
-    store: Store, *outcomes: Score | Failure, ladder: float | None = None, **changes: object
-) -> SearchView:
+def view(store: Store, *outcomes: Score | Failure, **changes: object) -> SearchView:
     """Experiments 1.. with these outcomes, each made from the one before it."""
-    start = replace(
-        started(), ladder=ladder, folds=("block 1 of 2", "block 2 of 2"), outputs=("x", "y")
-    )
+    start = replace(started(), folds=("block 1 of 2", "block 2 of 2"), outputs=("x", "y"))
     events: list[object] = [start]
     for number, outcome in enumerate(outcomes, 1):
         folds = tuple(
@@ -81,10 +77,8 @@ def view(
     return replay(events)  # type: ignore[arg-type]
 
 
-def lines(store: Store, seen: SearchView, number: int, *, bounded: bool = False) -> list[str]:
-    experiment = seen.experiment(number)
-    found = evidence_of(experiment, seen, store, SETTINGS, bounded=bounded)
-    return evidence_lines(found)
+def lines(store: Store, seen: SearchView, number: int) -> list[str]:
+    return evidence_lines(evidence_of(seen.experiment(number), seen, store, SETTINGS))
 
 
 @pytest.fixture
@@ -142,7 +136,7 @@ def test_a_suspect_experiment_shows_no_held_out_figure(store: Store) -> None:
     """By how much a relation was broken, and V, would tell of held-out outputs."""
     failed = Failure(Reason.SUSPECT, "table: no sample changes", 1)
     seen = view(store, failed, held_out_residuals=(residual(0.5),))
-    for one in findings_of(store, seen.experiment(1), bounded=False):
+    for one in findings_of(store, seen.experiment(1)):
         assert (one.errors, one.steps, one.held_out_residuals) == ((), (), ())
         assert one.train_errors
     text = "\n".join(lines(store, seen, 1))
@@ -161,18 +155,6 @@ def test_held_out_residuals_are_a_block_of_their_own(store: Store) -> None:
     text = "\n".join(lines(store, shown, 1))
     assert "mean residuals on the held-out samples" in text
     assert "too low by 0.5 ± 0.04 s.d., both folds" in text
-
-
-def test_the_ladder_tells_neither_held_out_errors_nor_what_a_candidate_writes(
-    store: Store,
-) -> None:
-    seen = published(view(store, SCORE, ladder=0.1))
-    for one in findings_of(store, seen.experiment(1), bounded=True):
-        assert (one.errors, one.steps, one.parameters, one.printed) == ((), (), (), "")
-    text = "\n".join(lines(store, seen, 1, bounded=True))
-    for hidden in ("V 0.29", "step 10", "k2", "loss"):
-        assert hidden not in text
-    assert "x above 8 m" in text
 
 
 def test_what_was_printed_cannot_pass_for_words_of_ours(store: Store) -> None:
@@ -196,7 +178,7 @@ def test_many_outputs_and_folds_stay_one_screen(store: Store) -> None:
     )
     settings = replace(SETTINGS, outputs=tuple(Signal(f"y{i}") for i in range(30)))
     seen = view(store, SCORE)
-    shown = evidence_of(seen.experiment(1), seen, store, settings, bounded=False)
+    shown = evidence_of(seen.experiment(1), seen, store, settings)
     other = replace(many, parameters=tuple((n, -v) for n, v in many.parameters), printed="a\n" * 9)
     folds = tuple(
         replace(fold, findings=one) for fold, one in zip(shown.folds, (many, other), strict=True)
@@ -232,7 +214,7 @@ def test_fits_that_end_in_different_minima_are_named(
 
 def test_different_minima_come_first(store: Store) -> None:
     seen = view(store, SCORE)
-    found = evidence_of(seen.experiment(1), seen, store, SETTINGS, bounded=False)
+    found = evidence_of(seen.experiment(1), seen, store, SETTINGS)
     assert not evidence_lines(found)[0].startswith("fits end")
     assert evidence_lines(found, (0.1, 0.3))[0].startswith("fits end in different minima: V of")
 

@@ -14,7 +14,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from asia import _plugins
-from asia.agents.registry import recorded_agents
+from asia.agents.registry import recorded_agent
 from asia.errors import UserError
 from asia.ledger.chain import BEGIN, encode, read_lines
 from asia.ledger.events import Started, adapter
@@ -227,7 +227,8 @@ def test_no_text_of_a_ledger_names_code(finished: Path, tmp_path: Path, watch: W
             try:
                 run = open_run(finished)
                 opened += 1
-                recorded_agents(run.view.started)
+                started = run.view.started
+                recorded_agent(started.agent, started.agent_settings)
                 verify(finished)
             except UserError:
                 pass

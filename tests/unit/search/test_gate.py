@@ -282,7 +282,7 @@ def test_small_edits_do_not_add_up(tmp_path: Path):
 
 @pytest.mark.slow
 def test_an_honest_network_that_overfits_is_unconfirmed(tmp_path: Path):
-    problem = load_problem(write_short(tmp_path / "toy"), guard_share(["scripted"], None))
+    problem = load_problem(write_short(tmp_path / "toy"), guard_share("scripted", None))
     sources = tuple(NETWORK.replace("{seed}", str(seed)) for seed in (0, 6, 7))
     problem = replace(problem, budget=replace(problem.budget, experiments=4))
     ready = prepare(problem, "scripted", seed=0, runs=tmp_path / "runs")

@@ -237,17 +237,6 @@ def _judgement(facts: Facts) -> Iterator[str]:
         + "; ".join(one_line(", ".join(group), 200) for group in facts.groups)
     )
     yield f"V: {find_metric(facts.metric).v_words}, mean over outputs, then over folds."
-    if facts.ladder is not None:
-        yield ladder_rule(facts.ladder)
-
-
-def ladder_rule(step: float) -> str:
-    """Describe how V is reported with the feedback `ladder`."""
-    return (
-        "V is reported by the rule of the Ladder. A candidate is kept if its V is lower than the "
-        f"last reported V by more than {step:.0%}, and not by chance. Then its rounded V is "
-        "reported. For any other candidate the last reported V is repeated."
-    )
 
 
 def equations(physics: Physics) -> Iterator[str]:
@@ -379,8 +368,7 @@ def task_of(view: AgentView, repairs: int) -> Task:
     is running; else the task of the present phase."""
     failed: list[Trial] = []
     for trial in reversed(view.trials):
-        sound = trial.value is not None or trial.status == "discard"
-        if sound or (failed and failed[-1].parent != trial.number):
+        if trial.value is not None or (failed and failed[-1].parent != trial.number):
             break
         failed.append(trial)
     last = failed[0] if failed else None

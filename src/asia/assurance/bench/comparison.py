@@ -19,7 +19,6 @@ from scipy.stats import wilcoxon
 from asia._files import PACKAGE
 from asia._text import printable_line
 from asia.agents.registry import make_agent
-from asia.agents.relay import legs_of
 from asia.agents.view import Agent, AgentView, Proposal
 from asia.errors import UserError
 from asia.judge.evaluation.references import LINEAR_REFERENCE
@@ -903,7 +902,6 @@ def bench(
             runs=plan.runs,
             name=run.name,
             agent_settings=run.arm.settings,
-            legs=legs_of(agent),
         )
         search(ready, agent, watcher.on_event, lambda view: None)
         view = open_run(ready.directory).view

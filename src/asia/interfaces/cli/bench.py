@@ -275,10 +275,7 @@ def compare_agents(
     problem: ProblemName,
     agents: Annotated[
         str,
-        typer.Option(
-            help="Agents by name or module:Class, or relays such as expert*5+bayes, with commas "
-            "between them."
-        ),
+        typer.Option(help="Agents by name or module:Class, with commas between them."),
     ] = "expert,random,bayes",
     seeds: Annotated[
         list[int] | None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -24,10 +24,6 @@ from asia.interfaces.cli.options import (
 )
 from asia.interfaces.cli.output import value_words
 from asia.interfaces.cli.run import Driver, make_driver, search_and_print
-
-if TYPE_CHECKING:
-    from asia.agents.view import Agent
-    from asia.search.run import Prepared
 
 # Candidates of the old search that are proposed first, and how much larger their V may be.
 _LEADING, _FAR = 3, 4.0
@@ -56,9 +52,7 @@ def extend(
 
     Repeat the command to resume. Exit code 3: no candidate has a score.
     """
-    from asia.agents.leading import LeadingAgent
-    from asia.agents.relay import RelayAgent, Runner, relay_name
-    from asia.ledger.events import Leg
+    from asia.agents.leading import LeadingAgent, leading_settings
     from asia.ledger.run import open_run
     from asia.ledger.text import error_value
     from asia.search.extension import error_on_record, extended_problem, leading_candidates
@@ -88,19 +82,13 @@ def extend(
     for note in notes:
         say(f"note      {note}", file=stream)
     say(f"problem   {folder}", file=stream)
-    leading = LeadingAgent(candidates)
-    # The baseline is the first experiment of the first leg.
-    first = Leg(leading.name, len(candidates) + 1, leading.settings)
-    rest = following.legs or (Leg(following.name, None, following.settings),)
-    legs = (first, *rest)
-
-    def make(ready: Prepared, leg: int) -> Agent:
-        made = following.make(ready, leg)
-        others = made.runners if isinstance(made, RelayAgent) else (Runner(made, rest[0]),)
-        return RelayAgent([Runner(leading, first), *others])
-
     search_and_print(
         options.applied(problem),
-        Driver(relay_name(legs), make, notes=following.notes, legs=legs),
+        Driver(
+            LeadingAgent.name,
+            lambda ready: LeadingAgent(candidates, following.make(ready)),
+            leading_settings(candidates, following.name, following.settings),
+            following.notes,
+        ),
         options, engine, runs, json=json, timer=timer,
     )  # fmt: skip

@@ -285,13 +285,6 @@ class EngineOptions:
             help="Experiments at a time: each is proposed before the last N - 1 have results.",
         ),
     ] = 1
-    stop_folds: Annotated[
-        bool,
-        typer.Option(
-            "--stop-folds",
-            help="Skip the remaining folds of a candidate that is far behind the best.",
-        ),
-    ] = False
     executor: Annotated[
         str,
         typer.Option(

@@ -112,13 +112,12 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
             value = error_value(fmean(kept[-1].seed_values))
             several = "lowest mean of seeds" if len(kept[-1].seed_values) > 1 else "kept"
             tail += f", {several} #{kept[-1].number:02d} {value}"
-    title = f"{proposed.agent}: {proposed.title}" if proposed.agent else proposed.title
     asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
     # As wide as `inconclusive` with its figures.
     outcome = f"{r.status:<7} {found}"
     return (
         f"#{experiment.number:02d} {outcome:<38}  {duration(r.seconds):>6}  "
-        f"{title:<44}{asked}{f' | {mean}' if mean else ''} | {tail}"
+        f"{proposed.title:<44}{asked}{f' | {mean}' if mean else ''} | {tail}"
     )
 
 

@@ -61,8 +61,6 @@ from asia.ledger.events import (
     Event,
     Extended,
     GuardLooked,
-    HandedOver,
-    Leg,
     Proposed,
     ReferenceScored,
     Refitted,
@@ -72,7 +70,6 @@ from asia.ledger.run import control, open_run
 from asia.ledger.text import (
     control_text,
     error_value,
-    hand_over_text,
     identified_lines,
     method_note,
     seed_mean_words,
@@ -83,7 +80,6 @@ from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric
 
 if TYPE_CHECKING:
-    from asia.agents.registry import NamedAgent
     from asia.agents.view import Agent
     from asia.problem.problem import Problem
     from asia.search.run import Prepared
@@ -100,10 +96,7 @@ def run(
     problem: ProblemName = "two_tanks_sim",
     agent: Annotated[
         str,
-        typer.Option(
-            help="Agent: expert, random, bayes, llm, command:NAME, or your module:Class; a relay: "
-            " expert*8,bayes."
-        ),
+        typer.Option(help="Agent: expert, random, bayes, llm, command:NAME, or your module:Class."),
     ] = "expert",
     space: Annotated[
         str | None, typer.Option(help="Search space of random: library (default), or paper.")
@@ -136,8 +129,7 @@ def run(
     driver = make_driver(agent, space, models, llm, command)
     timer = ActivityTimer()
     with timer.activity(Activity.PREPARE):
-        agents = [leg.agent for leg in driver.legs] or [driver.name]
-        loaded = options.applied(load_problem(problem, guard_share(agents, guard)))
+        loaded = options.applied(load_problem(problem, guard_share(driver.name, guard)))
     search_and_print(
         loaded, driver, options, engine, runs, sink=sink, json=json, profile=profile, timer=timer
     )
@@ -156,16 +148,14 @@ def search_and_print(
     timer: ActivityTimer,
 ) -> None:
     """Search a problem with an agent, print events and results; the exit code as for `run`."""
-    from asia.agents.relay import RelayAgent
-    from asia.interfaces.coding_agents.session import CommandAgent, search_with_agents
+    from asia.agents.leading import LeadingAgent
+    from asia.interfaces.coding_agents.session import CommandAgent, search_with_process
     from asia.judge.executors import make_executor
     from asia.report.files import write_report
-    from asia.search.run import prepare, with_relay_budget
+    from asia.search.run import prepare, search
     from asia.search.sinks import open_sinks
 
     with timer.activity(Activity.PREPARE):
-        if options.experiments is None:
-            loaded = with_relay_budget(loaded, driver.legs)
         ready = prepare(
             loaded,
             driver.name,
@@ -175,9 +165,7 @@ def search_and_print(
             isolation=options.level,
             isolation_strict=options.isolation_strict,
             agent_settings=driver.settings,
-            legs=driver.legs,
             parallel=engine.parallel,
-            stop_folds=engine.stop_folds,
         )
         executor = make_executor(engine.executor)
     sinks = open_sinks(ready.directory, sink or ())
@@ -185,16 +173,14 @@ def search_and_print(
     with closing(display), sinks:
         for line in driver.notes:
             say(line, file=sys.stderr)
-        made = driver.make(ready, 0)
-        agents = [r.agent for r in made.runners] if isinstance(made, RelayAgent) else [made]
-        view = search_with_agents(
-            ready,
-            made,
-            [each for each in agents if isinstance(each, CommandAgent)],
-            sinks.after_event(display.on_event),
-            sinks.after_start(display.on_start),
-            executor,
-        )
+        agent = driver.make(ready)
+        process = agent.following if isinstance(agent, LeadingAgent) else agent
+        on_event = sinks.after_event(display.on_event)
+        on_start = sinks.after_start(display.on_start)
+        if isinstance(process, CommandAgent):
+            view = search_with_process(ready, agent, process, on_event, on_start, executor)
+        else:
+            view = search(ready, agent, on_event, on_start, executor)
         failed: list[str] = []
         pictures: tuple[Path, ...] = ()
         with timer.activity(Activity.PICTURES), diagnostic("pictures", failed):
@@ -216,27 +202,22 @@ class Driver:
 
     name: str
     """The agent's name, part of the run's name."""
-    make: Callable[[Prepared, int], Agent]
-    """Makes the agent for a search: in a leg of a relay, or alone with 0."""
+    make: Callable[[Prepared], Agent]
+    """Makes the agent for a search."""
     settings: dict[str, str] = field(default_factory=dict[str, str])
     """Settings of the agent that the ledger records; no keys."""
     notes: tuple[str, ...] = ()
     """Lines that are printed before the search."""
-    legs: tuple[Leg, ...] = ()
-    """The legs of a relay, the last one with the requested number of experiments."""
 
 
 def make_driver(
     agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
 ) -> Driver:
-    """Make the driver of an agent or a relay. Raises UserError for an option of another agent."""
-    from asia.agents.registry import asked_relay, choose_agent
-    from asia.agents.relay import RelayAgent, Runner, check_legs, relay_name
+    """Make the driver of an agent. Raises UserError for an option of another agent."""
+    from asia.agents.registry import choose_agent
     from asia.interfaces.coding_agents.presets import PRESETS
 
-    plans = asked_relay(agent)
-    agents = [plan.agent for plan in plans] or [agent]
-    kinds = {name.partition(":")[0] for name in agents}
+    kind = agent.partition(":")[0]
     for owners, options in (
         (("llm",), given(llm, leave_out=("base_url", "api_key_env"))),
         (("command",), given(command, leave_out=("stuck_minutes",))),
@@ -245,37 +226,21 @@ def make_driver(
     ):
         whose = " or ".join("command:NAME" if owner == "command" else owner for owner in owners)
         for name, value in options.items():
-            if value is not None and not kinds & set(owners):
+            if value is not None and kind not in owners:
                 raise UserError(
                     f"--{name.replace('_', '-')} is for --agent {whose}, and the agent is "
-                    f"'{', '.join(agents)}': leave it out"
+                    f"'{agent}': leave it out"
                 )
 
-    def one(name: str) -> Driver:
-        if name.startswith(PREFIX):
-            return command_driver(name, command, models)
-        if name == "llm":
-            model = llm.agent(models)
-            return Driver(model.name, lambda ready, leg: model, model.recorded())
-        if name in PRESETS:
-            raise UserError(f"--agent {name}: write command:{name}, as for every coding agent")
-        chosen: NamedAgent = choose_agent(name, space if name == "random" else None)
-        return Driver(chosen.agent.name, lambda ready, leg: chosen.agent, dict(chosen.settings))
-
-    drivers = [one(name) for name in agents]
-    if not plans:
-        return drivers[0]
-    pairs = zip(plans, drivers, strict=True)
-    legs = tuple(Leg(d.name, plan.experiments, d.settings) for plan, d in pairs)
-    check_legs(legs)
-
-    def make(ready: Prepared, leg: int) -> Agent:
-        del leg
-        made = [driver.make(ready, place) for place, driver in enumerate(drivers, 1)]
-        return RelayAgent([Runner(a, each) for a, each in zip(made, legs, strict=True)])
-
-    notes = tuple(note for driver in drivers for note in driver.notes)
-    return Driver(relay_name(legs), make, notes=notes, legs=legs)
+    if agent.startswith(PREFIX):
+        return command_driver(agent, command, models)
+    if agent == "llm":
+        model = llm.agent(models)
+        return Driver(model.name, lambda ready: model, model.recorded())
+    if agent in PRESETS:
+        raise UserError(f"--agent {agent}: write command:{agent}, as for every coding agent")
+    chosen = choose_agent(agent, space)
+    return Driver(chosen.agent.name, lambda ready: chosen.agent, dict(chosen.settings))
 
 
 def command_driver(agent: str, options: CommandOptions, limits: ModelOptions) -> Driver:
@@ -318,7 +283,7 @@ def command_driver(agent: str, options: CommandOptions, limits: ModelOptions) ->
     }
     return Driver(
         name,
-        lambda ready, leg: command_agent(ready, preset, rules, leg),
+        lambda ready: command_agent(ready, preset, rules),
         settings,
         (f"agent {name}: {isolation}",),
     )
@@ -370,10 +335,6 @@ class JsonDisplay:
                     threshold=event.threshold,
                     failed_checks=list(event.failed_checks),
                     best=best.number if best else None,
-                )
-            case HandedOver():
-                self._print(
-                    "handed_over", agent=event.agent, after=event.after, reason=event.reason
                 )
             case ReferenceScored():
                 self._print(
@@ -469,9 +430,6 @@ class TextDisplay:
         for reference in view.references:
             self._print_reference(reference)
         for experiment in view.finished:
-            for event in view.handed_over:
-                if event.after == experiment.number - 1:
-                    self._print(f"relay   {hand_over_text(event)}")
             self._print_experiment(experiment.number, view)
         if self.console.is_terminal:
             self.footer = self.console.status("")
@@ -489,8 +447,6 @@ class TextDisplay:
                     self._print(f"remark  {event.remark}")
             case Evaluated():
                 self._print_experiment(event.experiment, view)
-            case HandedOver():
-                self._print(f"relay   {hand_over_text(event)}")
             case Extended():
                 self._print(f"extended to {event.experiments} experiments")
             case Refitted():

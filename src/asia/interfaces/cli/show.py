@@ -169,9 +169,6 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     parent = f", derived from #{p.parent:02d}" if p.parent else ""
     title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
     console.print(title, printable_line(f"(family {p.family}, {phase_text(p.phase)}{parent})"))
-    if p.leg:
-        agent = p.agent or "none: the baseline"
-        row("agent", f"{agent}, in leg {p.leg} of {len(view.started.legs)}")
     row("hypothesis", p.hypothesis)
     row("expected", p.expected)
     if p.remark:
@@ -209,9 +206,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
         console.print("\nidentified model", style="bold")
         for line in identified_lines(model):
             console.print(printable_line(line))
-    evidence = evidence_of(
-        experiment, view, run.store, settings_of_run(run.directory), bounded=False
-    )
+    evidence = evidence_of(experiment, view, run.store, settings_of_run(run.directory))
     if evidence.recorded:
         console.print("\nevidence", style="bold")
         for line in evidence_lines(evidence, experiment.seed_values):

@@ -28,12 +28,11 @@ from asia.interfaces.cli.output import (
 )
 from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
-from asia.ledger.evidence import cancelled_folds, incumbent_threshold, pruned_folds
+from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.looks import seal_words
 from asia.ledger.run import control, error_of, metric_of, model_to_use, open_run
 from asia.ledger.text import (
     control_text,
-    hand_over_text,
     method_note,
     threshold_text,
     validation_summary,
@@ -74,10 +73,6 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "run": start.run,
         "problem": start.problem,
         "agent": start.agent,
-        "legs": [{"agent": leg.agent, "experiments": leg.experiments} for leg in start.legs],
-        "handed_over": [
-            {"agent": e.agent, "after": e.after, "reason": e.reason} for e in view.handed_over
-        ],
         "seed": start.seed,
         "state": found.state,
         "stopped": view.stopped.reason if view.stopped else None,
@@ -87,9 +82,6 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "isolation": start.isolation,
         "isolation_strict": start.isolation_strict,
         "parallel": start.parallel,
-        "stop_folds": start.stop_folds,
-        "pruned_folds": sum(pruned_folds(view)),
-        "cancelled_folds": cancelled_folds(view),
         "running": [e.number for e in view.running] if found.state == "running" else [],
         "losses": running_losses(directory, view) if found.state == "running" else {},
         "metric": metric_of(directory),
@@ -153,15 +145,6 @@ def _print_status(directory: Path, found: Brief) -> None:
     running = found.state == "running"
     for words in running_words(view, running_losses(directory, view)) if running else ():
         say(f"running {words}")
-    if start.stop_folds:
-        pruned, cancelled = pruned_folds(view), cancelled_folds(view)
-        ran = f", {cancelled} of them ended while they ran" if cancelled else ""
-        say(
-            f"folds   {sum(pruned)} pruned{ran}, in {len(pruned)} experiments with V far above "
-            "the best"
-        )
-    for event in view.handed_over:
-        say(f"relay   {hand_over_text(event)}")
     if view.stopped is not None:
         words = stop_words(view.stopped.reason, view)
         say(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))

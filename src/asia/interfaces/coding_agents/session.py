@@ -17,7 +17,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -166,14 +166,12 @@ class Spent:
     """Upper bound of the cost of sessions that ended without telling it, USD."""
 
     @classmethod
-    def of(cls, view: SearchView, stream: Stream | None, leg: int = 0) -> Spent:
-        """Return the usage from the ledger and the stream of the present session; in a relay, of
-        one leg.
-        """
+    def of(cls, view: SearchView, stream: Stream | None) -> Spent:
+        """Return the usage from the ledger and the stream of the present session."""
         now = stream.usage if stream is not None else Usage()
         grants = {event.session: event.grant for event in view.begun}
         tokens, cost, unknown = now.tokens, now.cost or 0.0, 0.0
-        for session in (each for each in view.sessions if each.leg == leg):
+        for session in view.sessions:
             usage = session.usage or Usage()
             tokens += usage.tokens
             cost += usage.cost or 0.0
@@ -395,11 +393,8 @@ class CommandAgent(SubmittedAgent):
         rules: CommandRules,
         prepared: Prepared,
         folder: Path,
-        leg: int = 0,
     ) -> None:
-        """leg: its place in a relay, 1-based; its caps count from there."""
         super().__init__(name, self._take, self._watch)
-        self._leg = leg
         self._preset, self._folder = preset, folder
         self._directory = prepared.directory
         self._queue = Queue(prepared.directory)
@@ -431,7 +426,7 @@ class CommandAgent(SubmittedAgent):
         self._until = None if minutes is None else time.monotonic() + 60 * minutes
         ended = {event.session for event in view.sessions}
         for event in view.begun:
-            if event.leg == self._leg and event.session not in ended:
+            if event.session not in ended:
                 usage = None
                 if self._preset.format != "none":
                     stream = self._recorded_stream(event.session, journal)
@@ -502,7 +497,7 @@ class CommandAgent(SubmittedAgent):
         outcome = self._finish(session)
         view = self._view
         assert view is not None
-        stop = session.stopped or Spent.of(view, None, self._leg).over(self._rules)
+        stop = session.stopped or Spent.of(view, None).over(self._rules)
         if stop is not None:
             raise AgentStoppedError(stop.reason, f"{stop.detail}; last session: {outcome}")
         brought = len(view.experiments) > session.experiments
@@ -521,7 +516,7 @@ class CommandAgent(SubmittedAgent):
         elif self._steering.paused:
             self._quiet_since += now - self._looked
         self._looked = now
-        over = Spent.of(view, stream, self._leg).over(rules)
+        over = Spent.of(view, stream).over(rules)
         if over is not None:
             return over
         if self._until is not None and now > self._until:
@@ -542,8 +537,7 @@ class CommandAgent(SubmittedAgent):
         kept = not rules.jail or preset.config in [path.name for path in rules.configs]
         resumes = bool(number > 1 and self._resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
-        resumed_leg = not self._leg or any(event.leg == self._leg for event in view.begun)
-        if number > 1 and resumed_leg:
+        if number > 1:
             prompt = (
                 "Continue the search that PROGRAM.md describes: read results.tsv and "
                 "search_journal.md first. There are experiments left."
@@ -553,15 +547,9 @@ class CommandAgent(SubmittedAgent):
                 "Read PROGRAM.md in this folder and do what it says: find the best model you can, "
                 "with `asia try`."
             )
-            if self._leg >= 2:
-                prompt += (
-                    f" Another agent made experiments 1 to {len(view.finished)}: read results.tsv, "
-                    "search_journal.md and the best candidate first. Yours are those up to number "
-                    f"{view.leg_end}."
-                )
         prompt += "".join(f"\n\nNote of the user: {n.text}" for n in view.notes)
         write_file(self._folder, "PROMPT.md", prompt)
-        spent = Spent.of(view, None, self._leg)
+        spent = Spent.of(view, None)
         left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
         if left is not None and preset.dollars:
             template = (*template, *preset.dollars)
@@ -639,11 +627,9 @@ class CommandAgent(SubmittedAgent):
         return stream
 
 
-def command_agent(
-    prepared: Prepared, preset: Preset, rules: CommandRules, leg: int = 0
-) -> CommandAgent:
-    """A coding agent with its folder, to be closed after the search; leg: its place in a relay.
-    Raises UserError when a cap cannot be kept or the agent's program cannot be run."""
+def command_agent(prepared: Prepared, preset: Preset, rules: CommandRules) -> CommandAgent:
+    """A coding agent with its folder, to be closed after the search. Raises UserError when a cap
+    cannot be kept or the agent's program cannot be run."""
     check_rules(preset, rules)
     directory, started = prepared.directory, prepared.started
     if rules.jail:
@@ -657,38 +643,34 @@ def command_agent(
         folder, prepared.problem, started.experiments, seed=started.seed,
         confinement=rules.confinement if rules.jail else Confinement.OPEN,
     )  # fmt: skip
-    name = started.legs[leg - 1].agent if leg else started.agent
-    return CommandAgent(name, preset, rules, prepared, folder, leg)
+    return CommandAgent(started.agent, preset, rules, prepared, folder)
 
 
-def search_with_agents(
+def search_with_process(
     prepared: Prepared,
     agent: Agent,
-    processes: Sequence[CommandAgent],
+    process: CommandAgent,
     on_event: OnEvent,
     on_start: Callable[[SearchView], None],
     executor: Executor | None = None,
 ) -> SearchView:
-    """Run a search and pass every event to its coding agents; close them afterwards. See
-    `search`.
+    """Run a search and pass every event to its coding agent, which is `agent` or goes on after it;
+    close it afterwards. See `search`.
     """
     store = Store(prepared.directory / "artifacts")
 
     def both(event: Event, view: SearchView) -> None:
-        for process in processes:
-            process.told(event, view, store)
+        process.told(event, view, store)
         on_event(event, view)
 
     def begun(view: SearchView) -> None:
-        for process in processes:
-            process.started(view, store)
+        process.started(view, store)
         on_start(view)
 
     try:
         return search(prepared, agent, both, begun, executor)
     finally:
-        for process in processes:
-            process.close()
+        process.close()
 
 
 # Program on its own pseudo-terminal, shown on the user's terminal: it cannot reach the terminal

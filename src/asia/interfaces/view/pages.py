@@ -156,7 +156,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     lines: list[str] = []
     if e.result is not None and store.kept:
         settings = settings_of_run(run.directory)
-        found = evidence_of(e, subject.view, store, settings, bounded=False)
+        found = evidence_of(e, subject.view, store, settings)
         lines = evidence_lines(found, e.seed_values) if found.recorded else []
         if not lines and e.result.output:
             lines = store.text(e.result.output).splitlines()[-20:]

@@ -368,7 +368,7 @@ def with_guard(
         before = SearchRequest.find(directory)
         if before is not None and has_begun(directory):
             return replace(request, guard=before.guard)
-    return replace(request, guard=guard_share((request.agent,), wanted))
+    return replace(request, guard=guard_share(request.agent, wanted))
 
 
 def guard_words(problem: Problem, request: SearchRequest) -> str:

@@ -10,7 +10,6 @@ from asia.agents.library.pages import families_page, options_of
 from asia.agents.llm.prompt import (
     MODEL_RULES,
     equations,
-    ladder_rule,
     response_lines,
     simulator,
     symmetries,
@@ -145,7 +144,6 @@ def _scoring(problem: Problem) -> str:
             f"V covers {covered}, in windows one after the other; the last window of a part ends "
             "with it and may overlap its neighbour."
         )
-    feedback = "" if rule.ladder is None else f"{ladder_rule(rule.ladder)}\n"
     early_stopping = (
         "A fit that stops early must hold out part of its own training records; the held-out "
         "fold is never shown."
@@ -175,7 +173,7 @@ def _scoring(problem: Problem) -> str:
 Metric: {metric_label(rule.metric)}. {covered}
 
 V is the error of the open-loop simulation over {std}, then the mean over outputs, then over folds.
-1 is as bad as the mean of the data. {feedback}
+1 is as bad as the mean of the data.
 {early_stopping} `search_journal.md` begins with V of **reference models**.
 
 {_repeats(problem)} {sealed}

@@ -44,7 +44,7 @@ from asia.ledger.evidence import ComparedScore, evidence_of, settings_of_run
 from asia.ledger.looks import copy_words, look_by_copy
 from asia.ledger.run import Run, open_run
 from asia.ledger.text import error_line, evidence_lines, last_lines, method_note
-from asia.ledger.view import Experiment, published
+from asia.ledger.view import Experiment
 from asia.report.simulated import SimulatedCases
 from asia.search.agent_views import digest
 from asia.search.dry_runs import dry_run
@@ -157,8 +157,8 @@ class SearchProgress:
             state=run.state,
             metric=view.v_name,
             experiments=len(view.finished),
-            budget=view.leg_end,
-            remaining=max(0, view.leg_end - len(view.finished)),
+            budget=view.most_experiments,
+            remaining=max(0, view.most_experiments - len(view.finished)),
             best=Best(best.number, best.score.value) if best and best.score else None,
             references={r.name: getattr(r.outcome, "value", None) for r in view.references},
             notes=tuple(note.text for note in view.notes),
@@ -309,7 +309,7 @@ class ExperimentEvidence:
 
     @classmethod
     def of(cls, run: Run, number: int) -> ExperimentEvidence:
-        """Summarise the evidence on an experiment of a run whose view holds the reported scores.
+        """Summarise the evidence on an experiment of a run.
 
         Raises:
             UserError: there is no such experiment, or it has no result.
@@ -318,11 +318,10 @@ class ExperimentEvidence:
         if experiment.result is None:
             raise UserError(f"experiment {number} is being evaluated: it has no result yet")
         setting = settings_of_run(run.directory)
-        bounded = run.view.started.ladder is not None
-        found = evidence_of(experiment, run.view, run.store, setting, bounded=bounded)
+        found = evidence_of(experiment, run.view, run.store, setting)
 
-        lines = evidence_lines(found, () if bounded else experiment.seed_values)
-        if not bounded and (note := method_note(run.view)):
+        lines = evidence_lines(found, experiment.seed_values)
+        if note := method_note(run.view):
             lines.append(f"keep and best: {note}")
 
         def by_output(values: Sequence[float]) -> dict[str, float]:
@@ -402,8 +401,8 @@ class RunDesk:
         self._read: tuple[tuple[int, ...], Run] | None = None
 
     def run(self) -> Run:
-        """Return the run with the reported scores, read again if its ledger has changed. A search
-        that never began is started first.
+        """Return the run, read again if its ledger has changed. A search that never began is
+        started first.
 
         Raises:
             UserError: as `open_run`.
@@ -417,8 +416,7 @@ class RunDesk:
         timestamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
         read = self._read
         if read is None or read[0] != timestamp:
-            run = open_run(self._directory)
-            read = self._read = (timestamp, replace(run, view=published(run.view)))
+            read = self._read = (timestamp, open_run(self._directory))
         return read[1]
 
     def submit(self, proposal: Proposal) -> Submission:
@@ -475,11 +473,10 @@ class RunDesk:
         over = self._why_over(run)
         if over is not None:
             raise UserError(f"the candidate was not judged: {over}")
-        # In a relay up to the turn of the next agent. A larger request counts before the search has
-        # seen it.
+        # A larger request counts before the search has seen it.
         request = SearchRequest.find(self._directory)
         requested = request.experiments if request is not None else None
-        budget = max(view.leg_end, requested or 0)
+        budget = max(view.most_experiments, requested or 0)
         in_ledger = {e.proposed.ticket for e in view.experiments}
         # The baseline is the first experiment and is not submitted.
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
@@ -573,11 +570,6 @@ class RunDesk:
         """Some training cases of an experiment, simulated again, one experiment at a time;
         held-out ones too where the problem shows their residuals."""
         run = self.run()
-        if run.view.started.ladder is not None:
-            raise UserError(
-                'this problem limits what agents see (feedback = "ladder"): a picture would show '
-                "values that a candidate computed from records"
-            )
         with self._extra_workers():
             return simulated_excerpts(run, experiment, self._isolation)
 

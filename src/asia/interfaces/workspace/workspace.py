@@ -23,7 +23,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.exports import journal, results_table
 from asia.ledger.folder import MARK, link_workspace, linked_workspace, workspace_around
 from asia.ledger.run import open_run
-from asia.ledger.view import SearchView, published
+from asia.ledger.view import SearchView
 from asia.problem.problem import Problem, training_text
 from asia.report.files import draw_cases
 from asia.report.simulated import SimulatedCases
@@ -268,10 +268,7 @@ def write_folder(
 
 
 def write_views(folder: Path, view: SearchView, store: Store) -> None:
-    """Write results.tsv and search_journal.md with the reported scores, read-only, and the best
-    candidate.
-    """
-    view = published(view)
+    """Write results.tsv and search_journal.md, read-only, and the best candidate."""
     texts = {VIEWS[0]: results_table(view), VIEWS[1]: journal(view)}
     if view.best is not None:
         texts["best.py"] = store.text(view.best.source)

@@ -17,7 +17,6 @@ from asia.candidate import Context, check_source, executed_source, library_only
 from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.findings import fold_result
-from asia.judge.evaluation.pruning import FoldPruner
 from asia.judge.evaluation.relations import (
     ROUNDING,
     Suspicion,
@@ -356,14 +355,12 @@ class Evaluator:
         of them may ask for validation scores, which are counted."""
         return not self.workers.is_sequential and self.data.rule.early_stopping == "inner"
 
-    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
+    def evaluate(self, source: str, start: int = 0) -> Evaluation:
         """Fit and simulate `source` on every fold. A failed fold fails the candidate.
 
         Args:
             start: fits from another start have seeds of their own, the same for all candidates; 0
                 in a search
-            over: no fold is begun once V must be above it, those under way are ended, and the
-                outcome is a Failure with reason BEHIND; None where every fold counts
         """
         try:
             check_source(source)
@@ -372,21 +369,10 @@ class Evaluator:
             return Evaluation(Failure(error.reason, error.detail))
         folds = self.data.folds
         jobs = [partial(self._fold_or_failure, source, fold, start) for fold in folds]
-        pruner = None if over is None else FoldPruner(len(folds), over)
         try:
-            if pruner is None:
-                ends = self.workers.run(jobs)
-            else:
-                fits = [
-                    partial(pruner.fit, i, partial(self.workers.cancellable, flag, job))
-                    for i, (flag, job) in enumerate(zip(pruner.cancels, jobs, strict=True))
-                ]
-                ends = [end for end in self.workers.run(fits) if end is not None]
+            ends = self.workers.run(jobs)
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
-        behind = None if pruner is None else pruner.failure()
-        if pruner is not None and behind is not None:
-            return Evaluation(behind, output=ends[0].output, ended_folds=pruner.ended)
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.result, Failure):

@@ -67,8 +67,7 @@ def fold_result(
     """
     inside = whole(fold.train, rule)
     y, train_y = [b.y for b in fold.held_out], [b.y for b in inside]
-    in_parts = rule.ladder is not None
-    score = score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=in_parts)
+    score = score_fold(y, fitted.y_hat, fold.scale, rule.metric)
     train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
     inputs = [b.case.u for b in inside]
     whole_y = [without_gaps(a, b) for a, b in zip(train_y, fitted.train_y_hat, strict=True)]

@@ -111,8 +111,6 @@ class Evaluation:
     validation_scores: int = 0
     """Number of scores on held-out parts that the candidate requested, in all folds, failed ones
     included."""
-    ended_folds: int = 0
-    """Number of running folds that were ended because they did not count any more."""
 
     @property
     def y_hats(self) -> list[tuple[Array, ...]]:
@@ -186,15 +184,11 @@ def derive_seed(root: int, *parts: object) -> int:
 
 
 def score_outputs(
-    folds: Sequence[Fold],
-    outputs: Sequence[Sequence[Array]],
-    metric: str,
-    *,
-    in_parts: bool = False,
+    folds: Sequence[Fold], outputs: Sequence[Sequence[Array]], metric: str
 ) -> Outcome:
     """Score given simulations, one (H, ny) array a held-out block of each fold."""
     scores = [
-        score_fold([b.y for b in fold.held_out], y_hat, fold.scale, metric, in_parts=in_parts)
+        score_fold([b.y for b in fold.held_out], y_hat, fold.scale, metric)
         for fold, y_hat in zip(folds, outputs, strict=True)
     ]
     return combine(scores)

@@ -13,7 +13,7 @@ from typing import TypeAlias, TypeVar
 from asia._timer import Activity, ActivityTimer
 from asia.candidate import imported_libraries, library_only
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.judge.evaluation.background import BackgroundJob, CancelFlag, JobSettings
+from asia.judge.evaluation.background import BackgroundJob, JobSettings
 from asia.judge.executors import Executor, SequentialExecutor, local_cores, remote_executor_of
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.standby import StandbyWorkers
@@ -78,11 +78,6 @@ class WorkerRunner:
             yield
         finally:
             self._here.settings = before
-
-    def cancellable(self, cancel: CancelFlag, job: Callable[[], T]) -> T:
-        """Do a job whose workers `cancel` ends."""
-        with self._with_settings(replace(self.settings, cancel=cancel)):
-            return job()
 
     @contextmanager
     def fresh_workers(self) -> Generator[None]:

@@ -131,7 +131,6 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
             marks = {"mfc": "white", "mec": colour, "mew": 1.6, "ms": 6.0, "clip_on": False}
             y = [1.0] * len(numbers)
             axes.plot(numbers, y, marker, transform=edge, zorder=6, label=label, **marks)
-    _hand_overs(axes, view)
     labels = [_reference(axes, i, name, value) for i, (name, value) in enumerate(references)]
     handles = axes.get_legend_handles_labels()[0]
     figure_legend(figure, handles, 4, handletextpad=0.5, columnspacing=2.2)
@@ -172,31 +171,6 @@ def log_values(axes: Axes, low: float, high: float) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=steps))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
-
-
-def _hand_overs(axes: Axes, view: SearchView) -> None:
-    """Draw a line at each change of the agent in a relay, with the names of the agents between the
-    lines.
-    """
-    legs = view.started.legs
-    if not legs:
-        return
-    ends = [0.5, *(event.after + 0.5 for event in view.handed_over), axes.get_xlim()[1]]
-    edge = blended_transform_factory(axes.transData, axes.transAxes)
-    for x in ends[1:-1]:
-        axes.axvline(x, color=INK, lw=0.9, ls=(0, (4.0, 3.0)), zorder=3)
-    for leg, (start, end) in zip(legs, pairwise(ends), strict=False):
-        if end > start:
-            axes.text(
-                (start + end) / 2,
-                0.015,
-                plain(leg.agent, 16),
-                transform=edge,
-                ha="center",
-                va="bottom",
-                fontsize=_TAG_FONT,
-                color=INK,
-            )
 
 
 def _reference(axes: Axes, index: int, name: str, value: float) -> Text:

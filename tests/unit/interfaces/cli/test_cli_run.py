@@ -71,9 +71,9 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
             "isolation_strict",
         "early_stopping", "validation_scores", "residuals", "best", "references",
-        "control", "stopped", "usage", "metric", "legs", "handed_over", "use", "use_reason",
+        "control", "stopped", "usage", "metric", "use", "use_reason",
         "confirmed", "parallel", "running", "threshold", "remark", "incumbent", "validated",
-        "stop_folds", "pruned_folds", "cancelled_folds", "error", "failed_checks",
+        "error", "failed_checks",
         "alarms", "verdict", "losses", "seal", "guard", "unguarded",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)

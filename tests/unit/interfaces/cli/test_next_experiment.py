@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import asia as library
-from asia.agents.leading import LeadingAgent, LeadingCandidate
+from asia.agents.leading import LeadingAgent, LeadingCandidate, leading_settings
 from asia.agents.registry import recorded_agent
 from asia.errors import UserError
 from asia.interfaces.cli.next_experiment import _kept, _named, _span  # pyright: ignore[reportPrivateUsage]
@@ -166,10 +166,10 @@ def test_extend_begins_with_the_leading_candidate(
     view = open_run(tmp_path / "runs" / "longer").view
     assert old.best is not None
     assert view.experiments[1].proposed.digest == old.best.proposed.digest
-    assert view.experiments[1].proposed.agent == "leading"
+    assert view.experiments[1].proposed.hypothesis.startswith("It led an earlier search")
     assert view.best is not None
     assert view.best.number in (2, 3)
-    assert [leg.agent for leg in view.started.legs] == ["leading", "silent"]
+    assert (view.started.agent, view.started.agent_settings["then"]) == ("leading", "silent")
     assert command_line(*words).code == 0
     few = command_line(*(2 if word == 4 else word for word in words))
     assert few.code == 2
@@ -177,7 +177,10 @@ def test_extend_begins_with_the_leading_candidate(
 
 
 def test_a_ledger_has_all_that_the_agent_needs() -> None:
-    one = LeadingAgent([LeadingCandidate("arx", "second order", arx(2), "run #02, V 0.1")])
-    again = recorded_agent("leading", one.settings)
+    one = LeadingCandidate("arx", "second order", arx(2), "run #02, V 0.1")
+    again = recorded_agent("leading", leading_settings([one], "random", {}))
     assert isinstance(again, LeadingAgent)
-    assert again.candidates == one.candidates
+    assert again.candidates == (one,)
+    assert again.following.name == "random"
+    # Candidates that somebody submits after them cannot be asked for again.
+    assert recorded_agent("leading", leading_settings([one], "claude", {})) is None

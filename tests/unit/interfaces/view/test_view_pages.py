@@ -21,7 +21,7 @@ from asia.interfaces.view.pages import importance_part, steering_panel
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
-from asia.ledger.events import Evaluated, Leg, Proposed
+from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
 from asia.report.page.page import audit, page_of
@@ -386,8 +386,8 @@ def test_the_box_for_notes_is_off_where_the_agent_reads_none(
     started = open_run(runs / "made").view.started
     for agent, reads in (("random", False), ("bayes", False), ("expert", True), ("own", True)):
         assert reads_notes(replace(started, agent=agent)) is reads
-    relay = (Leg("random", 2), Leg("expert", None))
-    assert reads_notes(replace(started, agent="random*2+expert", legs=relay))
+        leading = replace(started, agent="leading", agent_settings={"then": agent})
+        assert reads_notes(leading) is reads
     for deaf in ("random", ""):
         text = str(steering_panel("made", running=True, deaf=deaf))
         assert ("The agent 'random' reads no notes." in text) is bool(deaf)

@@ -9,7 +9,7 @@ from asia.interfaces.coding_agents.presets import PRESETS, Preset, StreamFormat
 from asia.interfaces.coding_agents.session import (
     CommandRules,
     command_agent,
-    search_with_agents,
+    search_with_process,
 )
 from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.types import Isolation
@@ -55,7 +55,7 @@ def run_command(
     on_event: OnEvent = lambda event, view: None,
 ) -> SearchView:
     agent = command_agent(ready, preset, rules)
-    return search_with_agents(ready, agent, (agent,), on_event, lambda view: None)
+    return search_with_process(ready, agent, agent, on_event, lambda view: None)
 
 
 def go(

@@ -75,10 +75,7 @@ def test_a_protocol_without_the_setting_is_unchanged(tmp_path: Path) -> None:
     assert protocol_digest(plain)[:40] == digest
 
 
-def test_the_ladder_and_held_out_residuals_rule_each_other_out(tmp_path: Path) -> None:
-    setting = SHOWN + 'feedback = "ladder"\n'
-    with pytest.raises(UserError, match="keep one of them"):
-        load_problem(toy(tmp_path / "toy", setting))
+def test_residuals_that_there_are_not_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match='residuals is "all"'):
         load_problem(toy(tmp_path / "other", SHOWN.replace("held_out", "all")))
 

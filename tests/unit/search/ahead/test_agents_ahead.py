@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 
 from asia.agents import Agent, make_agent
-from asia.agents.relay import RelayAgent, legs_of, make_runner
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.results import Evaluation
 from asia.judge.scoring.outcome import Score
-from asia.ledger.events import Evaluated, Proposed
+from asia.ledger.events import Proposed
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
@@ -29,9 +28,7 @@ def quick() -> Iterator[None]:
     known: list[Evaluation] = []
     real: Callable[..., Evaluation] = Evaluator.evaluate
 
-    def evaluate(
-        self: Evaluator, source: str, start: int = 0, over: float | None = None
-    ) -> Evaluation:
+    def evaluate(self: Evaluator, source: str, start: int = 0) -> Evaluation:
         if not known:
             known.append(real(self, arx(2)))
         outcome = known[0].outcome
@@ -59,7 +56,7 @@ def go(root: Path, agent: Agent, parallel: int) -> tuple[SearchView, Path]:
     problem = load_problem(root / "toy")
     problem = replace(problem, budget=replace(problem.budget, patience=99))
     runs = root / f"runs{parallel}"
-    ready = prepare(problem, agent.name, seed=0, runs=runs, parallel=parallel, legs=legs_of(agent))
+    ready = prepare(problem, agent.name, seed=0, runs=runs, parallel=parallel)
     return search(ready, agent, lambda event, view: None, lambda view: None), ready.directory
 
 
@@ -87,17 +84,3 @@ def test_random_proposes_what_it_does_one_at_a_time(tmp_path: Path) -> None:
         assert other.result is not None
         assert one.result.outcome == other.result.outcome
         assert one.result.status == other.result.status
-
-
-@pytest.mark.usefixtures("quick")
-def test_a_leg_of_a_relay_ends_with_its_last_result(tmp_path: Path) -> None:
-    legs = [(make_agent("random"), 4), (make_agent("expert"), None)]
-    relay = RelayAgent([make_runner(agent, count) for agent, count in legs])
-    view, directory = go(tmp_path, relay, 3)
-    (handed,) = view.handed_over
-    assert handed.after == 4
-    events = [line.event for line in open_run(directory).lines]
-    before = events[: events.index(handed)]
-    assert sum(isinstance(e, Evaluated) for e in before) == 4
-    assert sum(isinstance(e, Proposed) for e in before) == 4
-    assert replay_run(directory, lambda item: None).agrees

@@ -85,11 +85,11 @@ def delayed(monkeypatch: pytest.MonkeyPatch, delays: dict[str, float]) -> list[s
     begun: list[str] = []
     evaluate = Evaluator.evaluate
 
-    def late(self: Evaluator, source: str, start: int = 0, over: float | None = None) -> Evaluation:
+    def late(self: Evaluator, source: str, start: int = 0) -> Evaluation:
         if start == 0:
             begun.append(source)
             time.sleep(delays.get(source, 0.0))
-        return evaluate(self, source, start, over)
+        return evaluate(self, source, start)
 
     monkeypatch.setattr(Evaluator, "evaluate", late)
     return begun

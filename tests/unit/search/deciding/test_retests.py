@@ -44,7 +44,7 @@ class Fits(Evaluator):
         self.outcomes, self.starts = outcomes, list[int]()
         self.workers = cast(WorkerRunner, SimpleNamespace(is_sequential=True))
 
-    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
+    def evaluate(self, source: str, start: int = 0) -> Evaluation:
         """The next one."""
         self.starts.append(start)
         outcome = self.outcomes[len(self.starts) - 1]

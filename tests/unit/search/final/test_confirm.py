@@ -33,13 +33,8 @@ def lucky(size: float) -> str:
     return LUCKY.replace("SIZE", str(size))
 
 
-def searched(root: Path, *sources: str, ladder: bool = False) -> Path:
+def searched(root: Path, *sources: str) -> Path:
     problem = write_problem(root / "toy", experiments=1 + len(sources))
-    if ladder:
-        text = (problem / "problem.toml").read_text()
-        (problem / "problem.toml").write_text(
-            text.replace("[protocol]\n", '[protocol]\nfeedback = "ladder"\n')
-        )
     agent = Scripted(sources)
     ready = prepare(load_problem(problem), agent.name, seed=0, runs=root / "runs")
     search(ready, agent, lambda event, view: None, lambda view: None)
@@ -174,10 +169,7 @@ def test_an_unfinished_search_is_refused(finished: Path, cut: int) -> None:
 
 
 @pytest.mark.slow
-def test_ladder_feedback_and_a_search_without_scores_are_refused(tmp_path: Path, run: Path) -> None:
-    hidden = searched(tmp_path / "ladder", arx(2), ladder=True)
-    with pytest.raises(UserError, match="ladder feedback"):
-        confirm(hidden, quietly)
+def test_a_search_without_scores_or_artifacts_is_refused(tmp_path: Path, run: Path) -> None:
     problem = write_problem(tmp_path / "bad" / "toy", experiments=1)
     (problem / "baseline.py").write_text(CRASH)
     ready = prepare(load_problem(problem), "scripted", seed=0, runs=tmp_path / "bad" / "runs")

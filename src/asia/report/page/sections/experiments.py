@@ -104,7 +104,6 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
         ("derived from", parent),
         ("family", said(p.family)),
         ("phase", phase_text(p.phase)),
-        ("agent", said(p.agent) if p.agent else None),
         ("V of the folds", folds),
         ("duration", None if result is None else subject.number(result, "seconds", "duration")),
         ("tags", tag_labels(subject.view.tags(e.number))),

@@ -9,7 +9,6 @@ from shlex import quote
 from asia._text import one_line
 from asia.judge.scoring.outcome import Score
 from asia.ledger.looks import seal_words
-from asia.ledger.text import hand_over_text
 from asia.report.page.html import Html, facts, join, region, said, table, tag
 from asia.report.page.subject import Section, Subject
 
@@ -51,7 +50,6 @@ def _write(subject: Subject) -> Html:
         ("language model", _cost(subject)),
         ("failed diagnostics", _list(view.failed_checks)),
     )
-    relays = [tag("li", said(hand_over_text(event))) for event in view.handed_over]
     looks: list[Html] = []
     for look in view.looks:
         rows: list[list[str | None]] = []
@@ -61,7 +59,7 @@ def _write(subject: Subject) -> Html:
             rows.append([subject.number(look, f"{at}.experiment", "number"), value])
         head = ["experiment", "error on the guard records"]
         looks.append(table(head, rows, "Evaluation on the guard records"))
-    return join((facts(pairs), tag("ul", *relays) if relays else None, *looks))
+    return join((facts(pairs), *looks))
 
 
 def _list(lines: Sequence[str]) -> Html | None:

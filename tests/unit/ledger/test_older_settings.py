@@ -1,0 +1,29 @@
+"""Settings that searches of older versions had: a ledger that has one is refused."""
+
+import pytest
+
+from asia.errors import UserError
+from asia.ledger.chain import BEGIN, decode, encode
+
+from .conftest import started
+
+LEGS = b'"legs":[{"agent":"expert","experiments":2,"settings":{}},{"agent":"bayes"}],'
+
+
+@pytest.mark.parametrize("setting", [b"", b'"legs":[],"ladder":null,'])
+def test_a_ledger_without_them_is_read(setting: bytes) -> None:
+    raw = encode(BEGIN, started())
+    assert decode(raw.replace(b'"seed":', setting + b'"seed":', 1), 0, "old").event == started()
+
+
+@pytest.mark.parametrize("setting", [LEGS, b'"ladder":0.1,', b'"stop_folds":true,'])
+def test_a_ledger_with_one_is_refused(setting: bytes) -> None:
+    raw = encode(BEGIN, started())
+    with pytest.raises(UserError, match="event 0 was written by another version of ASIA"):
+        decode(raw.replace(b'"seed":', setting + b'"seed":', 1), 0, "old")
+
+
+def test_a_change_of_the_agent_is_refused() -> None:
+    raw = encode(BEGIN, started()).replace(b'"event":"started"', b'"event":"handed_over"')
+    with pytest.raises(UserError, match="event 0 was written by another version of ASIA"):
+        decode(raw, 0, "old")
