@@ -125,7 +125,6 @@ COMMANDS: tuple[tuple[str, str | None, tuple[int, ...]], ...] = (
     ("report gift", None, DONE),
     ("report gift --figures figures --latex tables", None, DONE),
     ("report gift --methods", None, DONE),
-    ("report --bundle site", None, DONE),
     ("verify gift", None, DONE),
     ("verify gift --replay", "asia verify --replay", REFUSED),
     ("verify gift --replay --trust-agent hostile_agent:Other", "asia verify --replay", REFUSED),
