@@ -377,7 +377,6 @@ ACCOUNTED = {
     "data/sources/simulated/open_loop.py": "plants of this package, of a fixed table",
     "export/pipeline.py": "targets of installed packages",
     "export/targets/c.py": "code that ASIA printed from a checked program",
-    "export/targets/control.py": "code that ASIA printed from a checked program",
     "export/targets/matlab.py": "answers of Octave to code that ASIA printed",
     "export/targets/numpy.py": "code that ASIA printed from a checked program",
     "interfaces/cli/__init__.py": "commands of installed packages",
