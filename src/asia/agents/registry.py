@@ -42,6 +42,8 @@ class AgentRow:
     writes_code: bool = True
     """Whether it writes candidates, which can print the training records; the others choose from
     the model library."""
+    designs_controllers: bool = True
+    """Whether it can propose controllers."""
 
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
@@ -57,6 +59,7 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         RandomAgent,
         reads_notes=False,
         writes_code=False,
+        designs_controllers=False,
     ),
     AgentRow(
         "random-paper",
@@ -64,6 +67,7 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         partial(RandomAgent, "paper"),
         reads_notes=False,
         writes_code=False,
+        designs_controllers=False,
     ),
     AgentRow(
         "bayes",
@@ -71,14 +75,27 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         BayesAgent,
         reads_notes=False,
         writes_code=False,
+        designs_controllers=False,
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
-    AgentRow("workspace", "candidates that are submitted from a folder"),
-    AgentRow("leading", "the candidates that led another search", reads_notes=False),
+    AgentRow("workspace", "candidates that are submitted from a folder", designs_controllers=False),
+    AgentRow(
+        "leading",
+        "the candidates that led another search",
+        reads_notes=False,
+        designs_controllers=False,
+    ),
     AgentRow("mcp", "candidates that a client of the server submits"),
 )
 AGENTS: dict[str, Callable[[], Agent]] = {r.name: r.make for r in AGENT_ROWS if r.make is not None}
 RESERVED = frozenset(row.name for row in AGENT_ROWS)
+
+
+def agent_row(name: str) -> AgentRow:
+    """Return the facts about the agent with this name; the defaults where it is not built in."""
+    return next((row for row in AGENT_ROWS if row.name == name), AgentRow(name, ""))
+
+
 """Names that no other agent may have."""
 
 
@@ -192,21 +209,14 @@ def recorded_agents(started: Started, trusted: Collection[str] = ()) -> tuple[Ag
 
 def reads_notes(started: Started) -> bool:
     """Return whether any agent of the search reads notes; one that is not built in sees them."""
-    deaf = {row.name for row in AGENT_ROWS if not row.reads_notes}
     names = [leg.agent for leg in started.legs] or [started.agent]
-    return not deaf.issuperset(names)
+    return any(agent_row(name).reads_notes for name in names)
 
 
 def can_read_records(names: Iterable[str]) -> bool:
     """Return whether one of these agents can read the training records, so that V alone is no
     evidence: all that write candidates, also those that are not built in."""
-    library = {row.name for row in AGENT_ROWS if not row.writes_code}
-    return not library.issuperset(names)
-
-
-def packages_of(name: str) -> tuple[str, ...]:
-    """Packages that the proposals of the agent with this name depend on."""
-    return next((row.packages for row in AGENT_ROWS if row.name == name), ())
+    return any(agent_row(name).writes_code for name in names)
 
 
 def _called(named: Part | str) -> NamedAgent:

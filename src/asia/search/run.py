@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, get_args
 
 from asia._plugins import parts, version_of
-from asia.agents.registry import can_read_records, packages_of
+from asia.agents.registry import AGENT_ROWS, agent_row, can_read_records
 from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
@@ -62,7 +62,7 @@ def environment(*agents: str) -> dict[str, str]:
     """Python, platform, versions of packages and plugins, and the digest of the model
     library. Raises UserError as `asia._plugins.parts`."""
     names = [*installed_libraries(), "cloudpickle", "asia-sysid"]
-    names += [package for name in agents for package in packages_of(name)]
+    names += [package for name in agents for package in agent_row(name).packages]
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -142,8 +142,6 @@ def guard_share(agents: Iterable[str], wanted: bool | None) -> float | None:
 
 
 LOCK = "problem.lock.toml"
-# Agents that know no controllers.
-_MODELS_ONLY = ("random", "random-paper", "bayes", "leading", "workspace")
 
 
 @dataclass(frozen=True)
@@ -208,10 +206,11 @@ def prepare(
     rule, budget = problem.protocol, problem.budget
     names = [leg.agent for leg in legs] or [agent_name]
     for one in (agent_name, *names):
-        if problem.control is not None and one in _MODELS_ONLY:
+        if problem.control is not None and not agent_row(one).designs_controllers:
+            known = ", ".join(row.name for row in AGENT_ROWS if row.designs_controllers)
             raise UserError(
                 f"agent {one} proposes models, and '{problem.name}' asks for a controller: use "
-                "expert, llm, mcp or an agent of your own"
+                f"{known} or an agent of your own"
             )
     check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
     check_baseline(problem)
