@@ -41,6 +41,8 @@ class AgentRow:
     writes_code: bool = True
     """Whether it writes candidates, which can print the training records; the others choose from
     the model library."""
+    designs_controllers: bool = True
+    """Whether it can propose controllers."""
 
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
@@ -56,6 +58,7 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         RandomAgent,
         reads_notes=False,
         writes_code=False,
+        designs_controllers=False,
     ),
     AgentRow(
         "random-paper",
@@ -63,6 +66,7 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         partial(RandomAgent, "paper"),
         reads_notes=False,
         writes_code=False,
+        designs_controllers=False,
     ),
     AgentRow(
         "bayes",
@@ -70,14 +74,26 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         BayesAgent,
         reads_notes=False,
         writes_code=False,
+        designs_controllers=False,
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
-    AgentRow("workspace", "candidates that are submitted from a folder"),
-    AgentRow("leading", "the candidates that led another search, then another agent"),
+    AgentRow("workspace", "candidates that are submitted from a folder", designs_controllers=False),
+    AgentRow(
+        "leading",
+        "the candidates that led another search, then another agent",
+        designs_controllers=False,
+    ),
     AgentRow("mcp", "candidates that a client of the server submits"),
 )
 AGENTS: dict[str, Callable[[], Agent]] = {r.name: r.make for r in AGENT_ROWS if r.make is not None}
 RESERVED = frozenset(row.name for row in AGENT_ROWS)
+
+
+def agent_row(name: str) -> AgentRow:
+    """Return the facts about the agent with this name; the defaults where it is not built in."""
+    return next((row for row in AGENT_ROWS if row.name == name), AgentRow(name, ""))
+
+
 """Names that no other agent may have."""
 
 
@@ -173,18 +189,13 @@ def reads_notes(started: Started) -> bool:
     name = started.agent
     if name == LeadingAgent.name:
         name = started.agent_settings.get(FOLLOWING, name)
-    return all(row.reads_notes for row in AGENT_ROWS if row.name == name)
+    return agent_row(name).reads_notes
 
 
 def can_read_records(name: str) -> bool:
     """Return whether this agent can read the training records, so that V alone is no evidence: all
     that write candidates, also those that are not built in."""
-    return all(row.writes_code for row in AGENT_ROWS if row.name == name)
-
-
-def packages_of(name: str) -> tuple[str, ...]:
-    """Packages that the proposals of the agent with this name depend on."""
-    return next((row.packages for row in AGENT_ROWS if row.name == name), ())
+    return agent_row(name).writes_code
 
 
 def _called(named: Part | str) -> NamedAgent:

@@ -29,10 +29,10 @@ from asia.judge.scoring.repeated_fits import (
 from asia.ledger.artifacts import Store, without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Repeated
+from asia.ledger.simulated import fold_outputs
 from asia.ledger.verification import check_lock
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
-from asia.report.simulated import fold_outputs
 from asia.search.run import LOCK, make_evaluator
 
 # Statistics of repeated fits for a confirmation: ranks, differences, expected error.

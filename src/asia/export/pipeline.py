@@ -21,7 +21,6 @@ from asia.export.model import Band, ExportModel, TrainingWindow
 from asia.export.target import ParityRow, Target, parity_row
 from asia.export.targets.c import CTarget
 from asia.export.targets.casadi import CasadiTarget
-from asia.export.targets.control import ControlTarget
 from asia.export.targets.fmu import FmuTarget
 from asia.export.targets.matlab import MatlabTarget
 from asia.export.targets.numpy import NumpyTarget
@@ -51,7 +50,6 @@ _ALL: tuple[Target, ...] = (
     OnnxTarget(),
     FmuTarget(),
     CasadiTarget(),
-    ControlTarget(),
     MatlabTarget(),
 )
 TARGETS: dict[str, Target] = {t.name: t for t in _ALL}

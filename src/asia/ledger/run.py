@@ -12,7 +12,7 @@ from asia.errors import UserError
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
-from asia.ledger.events import Started, TestedModel, Unsealed, Use
+from asia.ledger.events import TestedModel, Unsealed, Use
 from asia.ledger.view import Experiment, SearchView, replay
 
 ERROR = "error.txt"
@@ -156,59 +156,3 @@ def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
     """The result of the sealed test for this model; that of the ensemble if it has none."""
     found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
     return record.ensemble if found is None else found
-
-
-# Result of the expert at the same budget, for comparison with a search that costs money.
-
-
-# Agents without a control: the control itself, and those that are controls too.
-FREE = ("expert", "random", "random-paper", "bayes")
-CONTROL = "expert"
-
-
-@dataclass(frozen=True)
-class Control:
-    """`run` of the control agent and its best V within the first `experiments`; None while there is
-    no such run, or no score in it."""
-
-    run: str | None
-    value: float | None
-    experiments: int
-
-
-def control(directory: Path, start: Started, spent: int) -> Control | None:
-    """Return the control run of a search, or None for agents that need none.
-
-    Of several control runs in the same folder, the one with the same seed counts, else the first.
-    spent: number of experiments that the search has spent.
-    """
-    if start.agent in FREE or spent == 0:
-        return None
-    own = directory.resolve()
-    found: list[tuple[bool, str, Path]] = []
-    for ledger in sorted(own.parent.glob("*/ledger.jsonl")):
-        if ledger.parent == own:
-            continue
-        try:
-            first = next(read_lines(ledger), None)
-        except UserError:
-            continue
-        other = None if first is None else first.event
-        if (
-            isinstance(other, Started)
-            and other.agent == CONTROL
-            and other.problem == start.problem
-            and other.protocol_digest == start.protocol_digest
-            and other.early_stopping == start.early_stopping
-        ):
-            found.append((other.seed != start.seed, other.run, ledger.parent))
-    for _, name, place in sorted(found):
-        try:
-            view = open_run(place).view
-        except UserError:
-            continue
-        finished = view.finished[:spent]
-        if len(finished) == spent or view.stopped is not None:
-            values = [e.score.value for e in finished if e.score]
-            return Control(name, min(values, default=None), spent)
-    return Control(None, None, spent)

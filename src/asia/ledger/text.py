@@ -18,7 +18,6 @@ from asia.ledger.events import (
     Evaluated,
     Phase,
     Stack,
-    Started,
     Validated,
     Variant,
 )
@@ -30,7 +29,6 @@ from asia.ledger.evidence import (
     SharedResidual,
     incumbent_threshold,
 )
-from asia.ledger.run import Control
 from asia.ledger.view import Experiment, SearchView
 
 # Events and results, one line each.
@@ -118,17 +116,6 @@ def seed_mean_words(e: Experiment) -> str:
 def stack_words(stack: Stack) -> str:
     """`#07 0.62, #03 0.38`: the members and their weights."""
     return ", ".join(f"#{m.experiment:02d} {m.weight:.2f}" for m in stack.members)
-
-
-def control_text(found: Control, start: Started) -> str:
-    """Describe a control run in one line."""
-    if found.run is None:
-        return (
-            "not run yet; to run the expert, which needs no language model, at the same budget: "
-            f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
-        )
-    value = "no score" if found.value is None else f"V={error_value(found.value)}"
-    return f"expert, the same {found.experiments} experiments: {value} ({found.run})"
 
 
 def method_note(view: SearchView) -> str:

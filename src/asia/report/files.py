@@ -13,12 +13,14 @@ from matplotlib.figure import Figure
 
 from asia._diagnostic import diagnostic
 from asia._progress import tracked
+from asia.agents.expert_result import expert_result
 from asia.data.trajectory import Signal
 from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.ledger.chain import write_whole
 from asia.ledger.events import TestedModel
 from asia.ledger.evidence import get_curves
-from asia.ledger.run import Run, control, metric_of, open_run
+from asia.ledger.run import Run, metric_of, open_run
+from asia.ledger.simulated import SimulatedCases
 from asia.problem.check import input_delays, responses
 from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
@@ -42,7 +44,6 @@ from asia.report.pictures.simulation import (
     draw_test_horizon,
 )
 from asia.report.published import Board, read_board
-from asia.report.simulated import SimulatedCases
 
 Picture = tuple[str, Callable[[], Figure]]
 """Name of the files and the function that draws."""
@@ -243,7 +244,7 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
 def _progress(run: Run, metric: str) -> Picture:
     """Picture of the progress, which needs no artifacts."""
     view = run.view
-    beside = control(run.directory, view.started, len(view.finished))
+    beside = expert_result(run.directory, view.started, len(view.finished))
     return "progress", lambda: draw_progress(view, metric, beside)
 
 

@@ -10,10 +10,10 @@ from asia.ledger.chain import write_whole
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.evidence import IdentifiedModel, identified
 from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
+from asia.ledger.simulated import final_models
 from asia.ledger.text import error_value, fold_text, parameter_remarks
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric, metric_label
-from asia.report.simulated import final_models
 
 _USES = {
     "ensemble": "the mean of the models of all folds",

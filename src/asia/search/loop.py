@@ -11,7 +11,7 @@ from pathlib import Path
 
 from asia._diagnostic import diagnostic
 from asia._timer import Activity, ActivityTimer
-from asia.agents.expert.diagnosis import why_nothing_helps
+from asia.agents.library.traits import why_nothing_helps
 from asia.agents.view import (
     Agent,
     AgentStoppedError,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, get_args
 
 from asia._plugins import parts, version_of
-from asia.agents.registry import can_read_records, packages_of
+from asia.agents.registry import AGENT_ROWS, agent_row, can_read_records
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
@@ -59,7 +59,7 @@ from asia.search.steering import RunningLosses
 def environment(agent: str) -> dict[str, str]:
     """Python, platform, versions of packages and plugins, and the digest of the model
     library. Raises UserError as `asia._plugins.parts`."""
-    names = [*installed_libraries(), "cloudpickle", "asia-sysid", *packages_of(agent)]
+    names = [*installed_libraries(), "cloudpickle", "asia-sysid", *agent_row(agent).packages]
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -139,8 +139,6 @@ def guard_share(agent: str, wanted: bool | None) -> float | None:
 
 
 LOCK = "problem.lock.toml"
-# Agents that know no controllers.
-_MODELS_ONLY = ("random", "random-paper", "bayes", "leading", "workspace")
 
 
 @dataclass(frozen=True)
@@ -198,10 +196,11 @@ def prepare(
             settings, or several experiments are requested with sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
-    if problem.control is not None and agent_name in _MODELS_ONLY:
+    if problem.control is not None and not agent_row(agent_name).designs_controllers:
+        known = ", ".join(row.name for row in AGENT_ROWS if row.designs_controllers)
         raise UserError(
             f"agent {agent_name} proposes models, and '{problem.name}' asks for a controller: use "
-            "expert, llm, mcp or an agent of your own"
+            f"{known} or an agent of your own"
         )
     check_parallel(parallel, strict=isolation_strict)
     check_baseline(problem)

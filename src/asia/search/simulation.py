@@ -32,12 +32,12 @@ from asia.judge.scoring.bands import (
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
+from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Block, Case, Fold, cut, whole
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.problem.protocol import ProtocolRule
-from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.search.run import LOCK, library_digest, make_evaluator
 
 

@@ -218,9 +218,3 @@ def test_an_external_proposer_is_not_asked_again() -> None:
     assert recorded_agent("workspace", {}) is None
     assert recorded_agent("somebody", {}) is None
     assert {name for name in AGENTS if recorded_agent(name, {}) is not None} == set(AGENTS)
-
-
-def test_an_agent_without_a_control_is_built_in() -> None:
-    from asia.ledger.run import FREE
-
-    assert set(FREE) <= set(AGENTS)

@@ -39,7 +39,7 @@ from asia.problem.lock import lock_text
 from asia.problem.problem import DESCRIPTION_TEMPLATE, Seal, is_described
 from asia.report.page.code import python
 from asia.report.page.html import Html, fixed, join, said, table, tag
-from asia.report.page.page import LIMIT, audit, page_of, write_bundle, write_page
+from asia.report.page.page import LIMIT, audit, page_of, write_page
 from asia.report.page.sections.evidence import CERTIFICATE_FILE, LINEAR_FILE
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.evidence import draw_ablation
@@ -227,37 +227,6 @@ def test_a_search_without_a_score_says_so(make_run: Callable[..., Run]) -> None:
     page = page_of(make_run((("one", None), ("two", None))))
     assert "No model" in page
     assert "None of the candidates has a score" in page
-
-
-def test_a_bundle_lists_what_can_be_compared_and_links_to_every_page(
-    make_run: Callable[..., Run], tmp_path: Path
-) -> None:
-    place = make_run().directory
-    shutil.copytree(place, tmp_path / "other run")
-    shutil.copytree(GOLDEN / "runs" / "finished", tmp_path / "third", dirs_exist_ok=True)
-    shutil.rmtree(tmp_path / "third" / "artifacts", ignore_errors=True)
-    written = write_bundle(tmp_path, tmp_path / "site")
-    assert {p.name for p in written.pages} == {"made.html", "other run.html", "third.html"}
-    assert not written.left_out
-    index = written.index.read_text("utf-8")
-    assert set(re.findall(r'href="([^"]+)"', index)) == {
-        "made.html",
-        "other%20run.html",
-        "third.html",
-    }
-    assert index.count("<table") == 2
-
-
-def test_a_bundle_names_the_runs_that_it_leaves_out(
-    make_run: Callable[..., Run], tmp_path: Path
-) -> None:
-    place = make_run().directory
-    broken = shutil.copytree(place, tmp_path / "broken")
-    (broken / "ledger.jsonl").write_bytes(b"{}\n")
-    written = write_bundle(tmp_path, tmp_path / "site")
-    assert [p.name for p in written.pages] == ["made.html"]
-    assert len(written.left_out) == 1
-    assert written.left_out[0].startswith("broken: ")
 
 
 def test_the_bands_of_the_test_stand_beside_what_they_are_meant_to_hold(

@@ -7,10 +7,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from asia.data import Signal
+from asia.ledger.simulated import SimulatedCase, SimulatedCases
 from asia.report.drawing.style import drawing
 from asia.report.files import draw_cases
 from asia.report.pictures.evidence import draw_tried, draw_tried_residuals
-from asia.report.simulated import SimulatedCase, SimulatedCases
 
 from .test_report_pictures import assert_readable
 

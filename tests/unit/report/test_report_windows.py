@@ -14,6 +14,7 @@ from asia.data import Signal
 from asia.judge.scoring.euclidean_error import mee_table
 from asia.judge.scoring.residuals import cross_correlation
 from asia.ledger.run import open_run
+from asia.ledger.simulated import representative_windows
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Problem, Seal
@@ -34,7 +35,6 @@ from asia.report.pictures.leaderboard import draw_standing
 from asia.report.pictures.progress import draw_arms
 from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth
 from asia.report.published import leaderboard
-from asia.report.simulated import representative_windows
 
 from .made_up import Shape, make_problem, write_run
 from .test_report_pictures import FIVE, assert_readable, visible_texts
@@ -115,8 +115,8 @@ def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> N
     assert titles == ["p", "R"]
     assert first.get_ylabel() == "Distance [m/s]"
     assert second.get_ylabel().startswith("Angle")
+    from asia.ledger.simulated import fold_outputs
     from asia.problem.folds import make_folds
-    from asia.report.simulated import fold_outputs
 
     fold = make_folds(problem.train, problem.protocol)[0]
     best = run.view.best

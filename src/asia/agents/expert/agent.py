@@ -31,15 +31,14 @@ from asia.agents.expert.diagnosis import (
     leading_maps,
     places,
     reason_to_end,
-    why_nothing_helps,
 )
 from asia.agents.expert.moves import all_moves
-from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
+from asia.agents.expert.notes import avoided, read_notes
 from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
-from asia.agents.library.traits import traits
+from asia.agents.library.traits import traits, why_nothing_helps
 from asia.agents.view import (
     LINEAR,
     PARENT,
@@ -80,8 +79,6 @@ class Option:
     """Share of the residual of the best candidate that it is known to explain."""
     apt: bool = True
     """Whether it is worth a place in the ladder."""
-    move: str = ""
-    """The name of the move; "" for the first configuration of a family."""
 
 
 class ExpertAgent:
@@ -108,7 +105,8 @@ class ExpertAgent:
         for wish in wishes:
             if wish.avoid or wish.is_followed(view) or proposal is not None:
                 continue
-            proposal = _wished(view, wish, unwanted)
+            options = (*effects(view), *untried(view))
+            proposal = _first_new(one for one in options if one.family == wish.name)
             if proposal is None:
                 remarks.append(
                     f"note {wish.note}: nothing new to try for {wish.text!r} on this problem"
@@ -139,7 +137,7 @@ class ExpertAgent:
 
 def _next(view: AgentView, unwanted: set[str]) -> Proposal | None:
     found, new = (
-        [option for option in options if not {option.family, option.move} & unwanted]
+        [option for option in options if option.family not in unwanted]
         for options in (effects(view), untried(view))
     )
     given = [option for option in new if option.family in GIVEN]
@@ -170,40 +168,17 @@ def untried(view: AgentView) -> Iterator[Option]:
         yield Option(row.name, partial(_first, view, row, recipe), seconds, apt=apt)
 
 
-def _first(
-    view: AgentView, row: Family, recipe: Recipe | None = None, title: str = ""
-) -> Proposal | None:
-    recipe = recipe or row.trial(view.facts)
+def _first(view: AgentView, row: Family, recipe: Recipe) -> Proposal | None:
     if not is_new(view, row, recipe):
         return None
     sentence = f"{_sentence(row.label)}: {row.use}."
     return Proposal(
         source=under_protocol(recipe, row, view.facts).source(sentence),
         family=row.name,
-        title=title or row.label,
+        title=row.label,
         hypothesis=sentence,
         expected="A first V of this family, to compare it with the others.",
     )
-
-
-def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
-    """A candidate that a note asks for: a family's first or its best move, or the effect on the
-    best trial that can have it, then in a new family."""
-    if wish.effect == "family":
-        return _first_new(o for o in (*effects(view), *untried(view)) if o.family == wish.name)
-    for at in situations(view):
-        if at.row.name not in unwanted:
-            made = (moved(at, move) for move in wished_moves(wish, at, all_moves()))
-            proposal = next((p for p in made if p is not None), None)
-            if proposal is not None:
-                return proposal
-    for row in families(view.facts):
-        recipe = wished_start(wish, row, row.trial(view.facts))
-        if row.name not in unwanted and recipe is not None:
-            proposal = _first(view, row, recipe, f"{row.label}: {wish.effect}")
-            if proposal is not None:
-                return proposal
-    return None
 
 
 def effects(view: AgentView) -> Iterator[Option]:
@@ -230,7 +205,6 @@ def effects(view: AgentView) -> Iterator[Option]:
                 partial(moved, at, move),
                 at.row.seconds(at.facts, move.change(at)),
                 share / (1 + tries),
-                move=move.name,
             )
             ranked.append(((behind, tries, -share, order, at.place), option))
     yield from (option for _, option in sorted(ranked, key=lambda one: one[0]))

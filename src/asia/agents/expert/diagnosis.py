@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from math import ceil, log
 from statistics import NormalDist
 
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title
 from asia.agents.library.recipe import Arguments, Recipe, read_recipe
-from asia.agents.library.traits import periodic, sign_lost
+from asia.agents.library.traits import DELAY_TRIED, periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
-from asia.data.statistics import Relation, integrating, noise_of_periods, relation
+from asia.data.statistics import noise_of_periods, relation
 
-# Strategy while no candidate beats the mean of the output: a likely cause with advice, and moves
-# to other model classes.
-
-# The greatest delay that families look for by themselves.
-_DELAY_TRIED = 10
+# Strategy while no candidate beats the mean of the output: moves to other model classes.
 
 
 def beats_nothing(view: AgentView) -> bool:
@@ -31,66 +26,11 @@ def beats_nothing(view: AgentView) -> bool:
     return len(tried) >= 3 and len(set(tried)) >= 2
 
 
-def why_nothing_helps(view: AgentView) -> str:
-    """Describe the likely cause in the training records, and the remedy."""
-    best = view.best
-    lowest = "" if best is None else f" (best V {best.value:.3g} of #{best.number:02d})"
-    facts, found = view.facts, relation(view.facts.records)
-    advice = _windows(facts, found)
-    if found.unstable:
-        loop = (
-            " and the inputs follow the past outputs: a control loop stabilises it"
-            if found.feedback
-            else ""
-        )
-        cause = f"the plant is unstable (a pole of modulus {found.pole:.4g}){loop}. {advice}"
-    elif found.feedback:
-        cause = (
-            f"the inputs follow the past outputs (correlation {found.feedback:.2f}): the records "
-            "come from a closed loop, and the outputs follow unmeasured disturbances. "
-            f"{advice} Or excite the set point and record it as an input."
-        )
-    elif not found.acts:
-        cause = (
-            "no input and no squared input has a significant effect on an output within "
-            f"{found.reach} samples. Check that inputs and outputs are synchronised, that the "
-            "inputs vary enough, and that the input that drives the plant is recorded. "
-            f"{advice}"
-        )
-    elif found.delay > _DELAY_TRIED:
-        cause = f"the dead time is {found.delay} samples. Models with this delay follow."
-    elif integrating(facts.records):
-        cause = (
-            "an output drifts with the sum of the inputs, so that small input errors "
-            f"accumulate. Models with free integrators follow. {advice}"
-        )
-    else:
-        cause = (
-            "the inputs have an effect, but no model so far predicts it over a whole simulation. "
-            f"Other initial values and model classes follow. {advice}"
-        )
-    return f"no candidate beats the mean of the output{lowest}: {cause}"
-
-
-def _windows(facts: Facts, found: Relation) -> str:
-    """Advice on windows: as long as an error needs to grow tenfold."""
-    if facts.horizon is not None:
-        return (
-            f"Shorter windows than {facts.horizon} samples, or a longer past window than "
-            f"{facts.past} samples, make the task easier."
-        )
-    long = ceil(log(10.0) / log(found.pole)) if found.unstable else 50
-    return (
-        'Use kind = "windows" in [protocol]: each simulation then starts from measured outputs '
-        f"(horizon = {min(long, 200)} or less)."
-    )
-
-
 def _late(at: Situation) -> int:
     """Shown: without the delay a model sees only inputs that do not act yet."""
     late = relation(at.facts.records).delay
     there = at.recipe.number("delay", 0) >= late - 1
-    return SHOWN * (at.recipe.has("delay") and late > _DELAY_TRIED and not there)
+    return SHOWN * (at.recipe.has("delay") and late > DELAY_TRIED and not there)
 
 
 def _stuck(at: Situation) -> bool:

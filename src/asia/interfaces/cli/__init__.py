@@ -54,25 +54,10 @@ __all__ = ["app", "main"]
 INTERRUPTED = 130
 TERMINATED = 128 + signal.SIGTERM
 PLUGINS = "asia.commands"
-MOVED = {
-    "diff": "`asia diff` is now `asia show N M`.",
-    "confirm": "`asia confirm` is now `asia validate --repeat`.",
-    "ablate": "`asia ablate` is now `asia validate --ablate`.",
-    "replay": "`asia replay` is now `asia verify --replay`.",
-    "pause": "`asia pause` is now `asia steer --pause`, and `--end` is `asia steer --resume`.",
-    "stop": "`asia stop` is now `asia steer --stop`.",
-    "compare": "`asia compare` is now `asia bench agents`.",
-    "redteam": "`asia redteam` is now `asia doctor --attack`.",
-    "workspace": "`asia workspace` is now `asia agent workspace`.",
-    "mcp": "`asia mcp` is now `asia agent mcp`.",
-    "mcp-config": "`asia mcp-config` is now `asia agent config`.",
-    "llm-check": "`asia llm-check` is now `asia agent check`.",
-}
-"""Old names of commands, and where each is now."""
 
 
 class Commands(TyperGroup):
-    """The commands of ASIA and of installed plugins. An old name is answered with the new one."""
+    """The commands of ASIA and of installed plugins."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """List the names, plugins last; without plugins whose names clash, see `asia doctor`."""
@@ -84,25 +69,10 @@ class Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command, from a plugin if it is none of ASIA's; None if there is none."""
         own = super().get_command(ctx, cmd_name)
-        if own is not None or cmd_name in MOVED:
+        if own is not None:
             return own
         part = next((part for part in parts_of(PLUGINS) if part.name == cmd_name), None)
         return None if part is None else _plugin_command(part)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command of a command line. Raises UserError for an old name."""
-        if args and args[0] in MOVED:
-            raise UserError(MOVED[args[0]])
-        return super().resolve_command(ctx, args)
-
-
-class _Benchmarks(TyperGroup):
-    """The benchmarks; the former `asia bench PROBLEM` is answered with the new form."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        if args and args[0] not in self.commands:
-            raise UserError(f"`asia bench {args[0]}` is now `asia bench paper {args[0]}`.")
-        return super().resolve_command(ctx, args)
 
 
 def _group(text: str, group: type[TyperGroup] = TyperGroup) -> typer.Typer:
@@ -123,7 +93,7 @@ app = _group(
 )
 app.info.name = "asia"
 agent_app = _group("Connect a coding agent or a language model, or work by hand in a workspace.")
-bench_app = _group("Run benchmarks: the paper's, the suite, or agents compared.", _Benchmarks)
+bench_app = _group("Run benchmarks: the paper's, the suite, or agents compared.")
 
 MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "init": init.init,

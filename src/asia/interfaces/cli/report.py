@@ -25,24 +25,13 @@ def report(
     methods: Annotated[
         bool, typer.Option("--methods", help="Only print the paragraph on methods for a paper.")
     ] = False,
-    bundle: Annotated[
-        Path | None,
-        typer.Option(help="Only write a static site of all runs below --runs there, to publish."),
-    ] = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Write a run as one HTML page, and its pictures as PNG and PDF."""
     from asia.report.files import write_figures, write_report
-    from asia.report.page.page import write_bundle, write_page
+    from asia.report.page.page import write_page
     from asia.report.paper import methods_paragraph, write_tables
 
-    if bundle is not None:
-        written = write_bundle(runs, bundle)
-        for path in (written.index, *written.pages):
-            say(str(path))
-        for text in written.left_out:
-            say(f"left out {text}", file=sys.stderr)
-        return
     directory = run_directory(runs, run)
     if figures is not None:
         for path in write_figures(directory, figures):

@@ -19,6 +19,7 @@ from asia._diagnostic import diagnostic
 from asia._progress import now_doing
 from asia._text import printable_line, say
 from asia._timer import Activity, ActivityTimer, TimeSpent, duration
+from asia.agents.expert_result import expert_result, expert_text
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
@@ -66,9 +67,8 @@ from asia.ledger.events import (
     Refitted,
 )
 from asia.ledger.evidence import identified, incumbent_threshold
-from asia.ledger.run import control, open_run
+from asia.ledger.run import open_run
 from asia.ledger.text import (
-    control_text,
     error_value,
     identified_lines,
     method_note,
@@ -523,9 +523,9 @@ class TextDisplay:
             self._print(f"V is     {validation_words(view.validation_scores)}")
         if view.started.residuals == "held_out":
             self._print("V is     with held-out residuals shown")
-        compared = control(self.prepared.directory, view.started, len(view.finished))
+        compared = expert_result(self.prepared.directory, view.started, len(view.finished))
         if compared is not None:
-            self._print(f"control  {control_text(compared, view.started)}")
+            self._print(f"control  {expert_text(compared, view.started)}")
         for name, words in (
             ("method", method_note(view)),
             ("threshold", threshold_text(view)),

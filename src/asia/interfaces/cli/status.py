@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from asia._text import say
 from asia._timer import duration
+from asia.agents.expert_result import expert_result, expert_text
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Profile, RunName, Runs, run_directory
 from asia.interfaces.cli.output import (
     again_words,
@@ -30,9 +31,8 @@ from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.looks import seal_words
-from asia.ledger.run import control, error_of, metric_of, model_to_use, open_run
+from asia.ledger.run import error_of, metric_of, model_to_use, open_run
 from asia.ledger.text import (
-    control_text,
     method_note,
     threshold_text,
     validation_summary,
@@ -67,7 +67,7 @@ def status(
 
 def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
     view, start, best = found.view, found.view.started, found.view.best
-    compared = control(directory, start, found.finished)
+    compared = expert_result(directory, start, found.finished)
     named = model_to_use(view)
     return {
         "run": start.run,
@@ -178,9 +178,9 @@ def _print_status(directory: Path, found: Brief) -> None:
         say(f"note    {line}")
     if view.unsealed is not None:
         say(f"the test was opened: asia unseal {directory.name} prints the result")
-    compared = control(directory, start, found.finished)
+    compared = expert_result(directory, start, found.finished)
     if compared is not None:
-        say(f"control {control_text(compared, start)}")
+        say(f"control {expert_text(compared, start)}")
     for reference in view.references:
         chosen = "" if reference.structure is None else (
             "   order {}, delay {} samples".format(*reference.structure)

@@ -16,7 +16,6 @@ from asia.ledger.run import open_run
 
 def steer(
     run: RunName = None,
-    text: Annotated[str | None, typer.Argument(hidden=True)] = None,
     note: Annotated[
         str | None,
         typer.Option(
@@ -40,8 +39,6 @@ def steer(
     from asia.agents.registry import reads_notes
     from asia.search.steering import Steering
 
-    if text is not None:
-        raise UserError("`asia steer RUN TEXT` is now `asia steer RUN --note TEXT`.")
     given = {"pause": pause, "resume": resume, "stop": stop}
     orders = [order for order, wanted in given.items() if wanted]
     if len(orders) > 1:

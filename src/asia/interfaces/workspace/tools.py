@@ -51,6 +51,7 @@ from asia.judge.scoring.residuals import (
     with_input,
     with_own_past,
 )
+from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.ledger.text import minima_lines
 from asia.problem.folds import Block, Fold, make_folds, whole
 from asia.problem.load import load_problem
@@ -58,7 +59,6 @@ from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
 from asia.report.files import draw_cases
-from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.search.agent_views import digest
 
 # A candidate fitted and scored in this process, by the evaluator's own folds, order of cases and

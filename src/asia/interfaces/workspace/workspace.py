@@ -23,10 +23,10 @@ from asia.ledger.artifacts import Store
 from asia.ledger.exports import journal, results_table
 from asia.ledger.folder import MARK, link_workspace, linked_workspace, workspace_around
 from asia.ledger.run import open_run
+from asia.ledger.simulated import SimulatedCases
 from asia.ledger.view import SearchView
 from asia.problem.problem import Problem, training_text
 from asia.report.files import draw_cases
-from asia.report.simulated import SimulatedCases
 from asia.search.run import Prepared
 
 # Scripts that a workspace comes with.

@@ -1,16 +1,13 @@
-"""Page of a run, checked against its ledger before it is written; and sites of many runs."""
+"""Page of a run, checked against its ledger before it is written."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html.parser import HTMLParser
-from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import quote
 
 from asia._diagnostic import diagnostic
 from asia._files import PACKAGE
@@ -19,9 +16,8 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import write_whole
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_lock
-from asia.report.page.html import FORMS, ONE, RULES, Html, follow, join, said, section, table, tag
+from asia.report.page.html import FORMS, ONE, RULES, Html, follow, said, section, tag
 from asia.report.page.sections import SECTIONS
-from asia.report.page.sections.verdict import stamp
 from asia.report.page.subject import Detail, Section, Subject
 
 # The audit shares nothing with the sections: it reads the finished page and the bytes of the
@@ -227,85 +223,3 @@ def document(title: str, parts: Sequence[Html]) -> str:
         tag("style", Html(page_style())),
     )
     return f"<!doctype html>\n{tag('html', head, tag('body', *parts), lang='en')}\n"
-
-
-# A static site of many runs: a list, and the page of each.
-
-
-@dataclass(frozen=True)
-class PublishedRuns:
-    """Files that were written."""
-
-    index: Path
-    """The list."""
-    pages: tuple[Path, ...]
-    """A page a run."""
-    left_out: tuple[str, ...]
-    """Runs without a page, and why, in words."""
-
-
-def write_bundle(runs: Path, directory: Path) -> PublishedRuns:
-    """A static site of the runs below `runs` into `directory`, to publish: `index.html` and a page
-    for each run. Runs whose data or artifacts are not what they were are left out, and named.
-    Raises UserError where there is no run."""
-    found = sorted(path.parent for path in runs.glob("*/ledger.jsonl"))
-    if not found:
-        raise UserError(f"no runs under {runs}; start one with: asia run PROBLEM")
-    directory.mkdir(parents=True, exist_ok=True)
-    pages: list[Path] = []
-    shown: list[Run] = []
-    left_out: list[str] = []
-    for place in found:
-        try:
-            run = open_run(place)
-            page = page_of(run)
-        except UserError as error:
-            left_out.append(f"{place.name}: {error}")
-            continue
-        path = directory / f"{place.name}.html"
-        write_whole(path, page.encode("utf-8", "replace"), durable=False)
-        pages.append(path)
-        shown.append(run)
-    index = directory / "index.html"
-    write_whole(index, _index(shown).encode("utf-8", "replace"), durable=False)
-    return PublishedRuns(index, tuple(pages), tuple(left_out))
-
-
-def _index(runs: Sequence[Run]) -> str:
-    """Runs of one problem, protocol and setting stand in one table, the best V first: V of others
-    does not compare with it."""
-
-    def compared(run: Run) -> tuple[str, str, str]:
-        return run.view.started.problem, run.view.started.protocol_digest, run.view.v_name
-
-    def value(run: Run) -> float:
-        found = run.view.best_value
-        return float("inf") if found is None else found
-
-    ordered = sorted(runs, key=lambda run: (*compared(run), value(run), run.name))
-    tables: list[Html] = []
-    for (name, _, v_name), group in groupby(ordered, key=compared):
-        head = ["run", "verdict", v_name, "best candidate", "experiments", "agent", "seed"]
-        inner = table(head, [_row(run) for run in group], f"Searches on {name}")
-        tables.append(tag("section", tag("h2", said(name)), inner))
-    header = tag("header", tag("p", "ASIA", class_="kind"), tag("h1", "Searches"))
-    text = tag("p", "Runs stand in one table where their V can be compared.")
-    return document("Searches", (header, tag("main", text, *tables)))
-
-
-def _row(run: Run) -> list[Html]:
-    """Cells of the list, checked against the ledger of their own run."""
-    subject = Subject(run, None, DETAILS[-1])
-    best, start = run.view.best, run.view.started
-    text, kind = stamp(subject)
-    cells = [
-        tag("a", said(run.name), href=quote(f"{run.name}.html")),
-        tag("span", text, class_=f"stamp small {kind}"),
-        subject.v(best) if best is not None else tag("span", "no score"),
-        said(best.proposed.title, 60) if best is not None else tag("span"),
-        subject.over("evaluated", "experiment", "count", "count"),
-        said(start.agent),
-        subject.number(start, "seed", "text"),
-    ]
-    audit(join(cells), run.directory, len(run.lines))
-    return cells

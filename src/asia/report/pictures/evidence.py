@@ -14,6 +14,14 @@ from asia.judge.scoring.outcome import without_gaps
 from asia.judge.scoring.residuals import Correlation, with_input, with_own_past
 from asia.ledger.events import Ablated
 from asia.ledger.run import Run
+from asia.ledger.simulated import (
+    SimulatedCase,
+    SimulatedCases,
+    fold_outputs,
+    lowest,
+    representative_windows,
+    worst_fits,
+)
 from asia.ledger.view import Experiment
 from asia.problem.folds import Fold
 from asia.problem.problem import Problem
@@ -36,14 +44,6 @@ from asia.report.drawing.style import (
     shown,
 )
 from asia.report.pictures.simulation import MOST_PANELS, Panel, Segment, draw_overlay
-from asia.report.simulated import (
-    SimulatedCase,
-    SimulatedCases,
-    fold_outputs,
-    lowest,
-    representative_windows,
-    worst_fits,
-)
 
 
 def draw_ablation(found: Ablated, run: str, v_name: str) -> Figure:

@@ -14,8 +14,8 @@ from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import blended_transform_factory
 
+from asia.agents.expert_result import ExpertResult
 from asia.judge.scoring.outcome import Score
-from asia.ledger.run import Control
 from asia.ledger.view import SearchView
 from asia.report.comparison import ArmCurves, ArmsPicture
 from asia.report.drawing.places import Box, Tag, place
@@ -55,17 +55,17 @@ class _Point:
     title: str
 
 
-def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
+def draw_progress(view: SearchView, metric: str, beside: ExpertResult | None = None) -> Figure:
     """Draw the progress of a search.
 
     A point for each experiment, the incumbent as a step line, failures as crosses on the upper
     edge, the last evaluation on the guard records as diamonds, tags at improvements, reference
-    models and the control run as thin lines.
+    models and the run of the expert as thin lines.
 
     Args:
         view: the search.
         metric: name of the metric.
-        beside: the control run.
+        beside: result of the expert at the same budget.
     """
     references = [
         (_REFERENCE_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)

@@ -16,6 +16,13 @@ from asia.judge.scoring.euclidean_error import mee_table
 from asia.judge.scoring.outcome import FoldScore, fit_index
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
+from asia.ledger.simulated import (
+    fold_outputs,
+    lowest,
+    opened_windows,
+    representative_windows,
+    worst_fits,
+)
 from asia.ledger.view import Experiment
 from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
@@ -45,13 +52,6 @@ from asia.report.drawing.style import (
     quantity,
     quiet_grid,
     shown,
-)
-from asia.report.simulated import (
-    fold_outputs,
-    lowest,
-    opened_windows,
-    representative_windows,
-    worst_fits,
 )
 
 # Measured against simulated outputs, the error in a strip below.

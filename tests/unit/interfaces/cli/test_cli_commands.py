@@ -1,4 +1,4 @@
-"""The commands: groups, old names, short and full help, plugins, steering."""
+"""The commands: groups, short and full help, plugins, steering."""
 
 import fcntl
 import sys
@@ -9,7 +9,7 @@ import typer
 
 from asia import _plugins
 from asia._plugins import Part
-from asia.interfaces.cli import MAIN_COMMANDS, MORE_COMMANDS, MOVED
+from asia.interfaces.cli import MAIN_COMMANDS, MORE_COMMANDS
 
 from .conftest import Asia, Searched
 
@@ -26,29 +26,6 @@ def test_help_lists_the_main_commands_first(asia: Asia) -> None:
     assert {"init", "check", "run"} <= {*MAIN_COMMANDS}
     assert "workspace" in listed(asia("agent", "--help").out)
     assert {"paper", "suite", "agents"} <= {*listed(asia("bench", "--help").out)}
-
-
-@pytest.mark.parametrize("name", MOVED)
-def test_an_old_name_answers_with_the_new_one(asia: Asia, name: str) -> None:
-    done = asia(name, "run", "--seeds", 2)
-    assert (done.code, done.out) == (2, "")
-    assert done.err == f"asia: {MOVED[name]}\n"
-    new = MOVED[name].split("`")[3].split()[1:]
-    words = [word for word in new if word not in ("N", "M")]
-    known = asia(*words, "--help")
-    assert known.code == 0, known.err
-    assert not [word for word in words if word.startswith("--") and word not in known.out]
-
-
-def test_old_forms_of_bench_and_steer_answer_with_the_new_one(asia: Asia) -> None:
-    done = asia("bench", "nanodrone", "--quick")
-    assert (done.code, done.err) == (
-        2, "asia: `asia bench nanodrone` is now `asia bench paper nanodrone`.\n",
-    )  # fmt: skip
-    done = asia("steer", "run", "try narx")
-    assert (done.code, done.err) == (
-        2, "asia: `asia steer RUN TEXT` is now `asia steer RUN --note TEXT`.\n",
-    )  # fmt: skip
 
 
 def test_the_help_of_run_is_short_and_help_all_is_complete(asia: Asia) -> None:
@@ -131,7 +108,7 @@ def test_a_plugin_adds_commands(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> 
         Part(_plugins.GROUPS[-1], name, f"oven_commands:{target}", "oven", "1.0")
         for name, target in (
             ("bake", "bake"), ("shelf", "shelf"), ("number", "number"), ("gone", "nothing"),
-            ("run", "bake"), ("diff", "bake"),
+            ("run", "bake"),
         )
     ]  # fmt: skip
     monkeypatch.setattr(_plugins, "parts", lambda: tuple(parts))
@@ -140,9 +117,8 @@ def test_a_plugin_adds_commands(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> 
     assert {"bake", "shelf", "number", "gone"} <= {*listed(shown)}
     assert asia("bake", "--degrees", 180).out == "baked at 180\n"
     assert asia("shelf", "count").out == "three\n"
-    # A plugin does not replace a command of ASIA, nor an old name of one.
+    # A plugin does not replace a command of ASIA.
     assert "baked" not in asia("run", "nowhere").out
-    assert asia("diff").err == f"asia: {MOVED['diff']}\n"
     for name, expected in (("number", "expected a typer.Typer or a function"), ("gone", "has no")):
         done = asia(name)
         assert (done.code, done.out) == (2, "")

@@ -11,11 +11,11 @@ from asia.errors import UserError
 from asia.interfaces.workspace.server import DeskServer, RunDesk, SocketDesk
 from asia.interfaces.workspace.workspace import Workspace
 from asia.ledger.run import open_run
+from asia.ledger.simulated import SimulatedCases
 from asia.problem.folds import make_folds
 from asia.problem.held_back import GUARD_SHARE
 from asia.problem.load import load_problem
 from asia.problem.protocol import ProtocolRule
-from asia.report.simulated import SimulatedCases
 from asia.search.simulation import training_excerpt
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from asia.judge.evaluation.references import CONTROLLERS
+from asia.ledger.simulated import fold_outputs
 from asia.problem.metrics import find_metric
 from asia.report.page.html import Html, join, said, table, tag
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import Overlay, draw_overlay, legend
-from asia.report.simulated import fold_outputs
 
 _MOST_PANELS = 8
 

@@ -11,6 +11,13 @@ from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
 from asia.ledger.run import model_to_use, tested_model
+from asia.ledger.simulated import (
+    final_models,
+    fold_outputs,
+    lowest,
+    representative_windows,
+    worst_fits,
+)
 from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment
 from asia.problem.metrics import find_metric
@@ -20,13 +27,6 @@ from asia.report.page.html import Html, facts, join, said, table, tag
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import Overlay, draw_overlay, overlay_legend
 from asia.report.published import Board, read_board
-from asia.report.simulated import (
-    final_models,
-    fold_outputs,
-    lowest,
-    representative_windows,
-    worst_fits,
-)
 
 # Five lines for someone who has to decide.
 

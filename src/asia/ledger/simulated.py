@@ -1,4 +1,4 @@
-"""Simulated cases of an experiment, as pictures and pages receive them."""
+"""Simulated cases of an experiment, for analysis, pictures and pages."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

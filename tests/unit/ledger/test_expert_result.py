@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from asia.agents.expert_result import ExpertResult, expert_result, expert_text
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Stopped
-from asia.ledger.run import Control, control
-from asia.ledger.text import control_text
 
 from .conftest import evaluated, proposed, score, started
 
@@ -30,17 +29,17 @@ def expert(runs: Path, seed: int, values: list[float], reason: str | None = None
 
 def test_only_what_costs_money_has_a_control(tmp_path: Path) -> None:
     expert(tmp_path, 0, [0.5, 0.4])
-    assert control(tmp_path / "other", replace(PAID, agent="random"), 2) is None
-    assert control(tmp_path / "paid", PAID, 0) is None
+    assert expert_result(tmp_path / "other", replace(PAID, agent="random"), 2) is None
+    assert expert_result(tmp_path / "paid", PAID, 0) is None
 
 
 def test_the_same_seed_counts_and_no_more_than_the_same_experiments(tmp_path: Path) -> None:
     expert(tmp_path, 0, [0.1, 0.1, 0.1])
-    assert control(tmp_path / "paid", PAID, 2) == Control("expert-0", 0.1, 2)
+    assert expert_result(tmp_path / "paid", PAID, 2) == ExpertResult("expert-0", 0.1, 2)
     expert(tmp_path, 1, [0.5, 0.4, 0.3])
-    found = control(tmp_path / "paid", PAID, 2)
-    assert found == Control("expert-1", 0.4, 2)
-    assert "the same 2 experiments: V=0.4000 (expert-1)" in control_text(found, PAID)
+    found = expert_result(tmp_path / "paid", PAID, 2)
+    assert found == ExpertResult("expert-1", 0.4, 2)
+    assert "the same 2 experiments: V=0.4000 (expert-1)" in expert_text(found, PAID)
 
 
 @pytest.mark.parametrize(("reason", "counts"), [("budget", True), (None, False)])
@@ -48,12 +47,12 @@ def test_a_shorter_search_counts_once_it_has_ended(
     tmp_path: Path, reason: str | None, counts: bool
 ) -> None:
     expert(tmp_path, 1, [0.5], reason)
-    found = control(tmp_path / "paid", PAID, 2)
-    assert found == (Control("expert-1", 0.5, 2) if counts else Control(None, None, 2))
+    found = expert_result(tmp_path / "paid", PAID, 2)
+    assert found == (ExpertResult("expert-1", 0.5, 2) if counts else ExpertResult(None, None, 2))
 
 
 def test_a_control_whose_ledger_was_changed_is_none(tmp_path: Path) -> None:
     expert(tmp_path, 1, [0.5, 0.4])
     ledger = tmp_path / "expert-1" / "ledger.jsonl"
     ledger.write_bytes(ledger.read_bytes().replace(b"0.4", b"0.9"))
-    assert control(tmp_path / "paid", PAID, 2) == Control(None, None, 2)
+    assert expert_result(tmp_path / "paid", PAID, 2) == ExpertResult(None, None, 2)
