@@ -120,8 +120,8 @@ def write_fold(file: Path, target: float, seed: int) -> None:
     block = fold.held_out[0]
     assert len(fold.train) == len(fold.held_out) == 1
     np.savez(
-        file, train_u=fold.train[0].u, train_y=fold.train[0].y, past_u=block.case.past_u,
-        past_y=block.case.past_y, u=block.case.u, y=block.y, scale=fold.scale, target=target,
+        file, train_u=fold.train[0].u, train_y=fold.train[0].y, past_u=block.past_u,
+        past_y=block.past_y, u=block.u, y=block.y, scale=fold.scale, target=target,
         seed=seed, sampling_time=problem.sampling_time,
     )  # fmt: skip
 

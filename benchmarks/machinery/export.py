@@ -17,7 +17,8 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.export.model import ExportModel, TrainingWindow
+from asia.data.segment import SimulatedSegment
+from asia.export.model import ExportModel
 from asia.export.pipeline import TARGETS, Ready, table, write
 from asia.lowering.trace import lowered_bytes
 from asia.lowering.wire import unpack
@@ -40,7 +41,7 @@ def main() -> None:
     u = rng.normal(size=(PAST + SAMPLES, 1))
     past_y = rng.normal(size=(PAST, 1))
     y_hat = model.simulate(u[None, :PAST], past_y[None], u[None, PAST:])[0]
-    window = TrainingWindow(u[:PAST], past_y, u[PAST:], y_hat, y_hat)
+    window = SimulatedSegment(u[:PAST], past_y, u[PAST:], y_hat, y_hat=y_hat)
     low = unpack(lowered_bytes(model, PAST, PAST, 1, 1))
     assert not isinstance(low, str), low
     span = np.array([[-3.0, 3.0]])

@@ -310,7 +310,7 @@ def _bare(source: str, fold: Fold, context: Context, rule: ProtocolRule) -> floa
     exec(source, module.__dict__)
     model = module.fit(fold.train, context)
     for block in (*fold.held_out, *whole(fold.train, rule)):
-        case = block.case
+        case = block
         model.simulate(case.past_u[None], case.past_y[None], case.u[None])
     return time.perf_counter() - begin
 

@@ -72,7 +72,7 @@ def baseline(problem: Problem, folds: Sequence[Fold]) -> Outputs:
     for fold in folds:
         model = linear.build(linear.Config(order=None, delay=None), context)
         model = linear.train(model, fold.train, context, LevenbergMarquardt(iterations=30))
-        cases = [block.case for block in fold.held_out]
+        cases = list(fold.held_out)
         found.append(
             [
                 np.asarray(model.simulate(c.past_u[None], c.past_y[None], c.u[None])[0])

@@ -25,8 +25,9 @@ from asia.agents.library.family import Family
 from asia.agents.library.registry import all_families
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
+from asia.data.segment import SimulatedSegment
 from asia.errors import UserError
-from asia.export.model import ExportModel, TrainingWindow
+from asia.export.model import ExportModel
 from asia.export.pipeline import TARGETS, Ready, write
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes
@@ -122,13 +123,13 @@ def ready(family: Family, setting: Setting) -> Ready | str:
         return str(low)
     length = LONG if context.horizon is None else context.horizon
     past = max(context.n_past_u, context.n_past_y)
-    windows: list[TrainingWindow] = []
+    windows: list[SimulatedSegment] = []
     for start in (past, past + length // 2):
         past_u = record.u[start - context.n_past_u : start]
         past_y = record.y[start - context.n_past_y : start]
         u, y = (side[start : start + length] for side in (record.u, record.y))
         y_hat = model.simulate(past_u[None], past_y[None], u[None])[0]
-        windows.append(TrainingWindow(past_u, past_y, u, y_hat, y))
+        windows.append(SimulatedSegment(past_u, past_y, u, y, y_hat=y_hat))
     spans = [np.stack([s.min(axis=0), s.max(axis=0)], axis=1) for s in (record.u, record.y)]
     export = ExportModel(
         f"{family.name}, {setting.name}", "refit", "made_up", low, context.inputs,

@@ -200,7 +200,7 @@ def tanks() -> list[Benchmark]:
 
         def error(model: Model, fold: Any = fold) -> float:
             block = fold.held_out[0]
-            case = block.case
+            case = block
             y = model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
             return float(np.mean(np.sqrt(np.mean((y - block.y) ** 2, axis=0)) / fold.scale))
 

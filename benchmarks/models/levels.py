@@ -64,7 +64,7 @@ def measured(
     begun = time.perf_counter()
     model = linear.train(linear.build(config, context), train, context, method)
     seconds = time.perf_counter() - begun
-    held = {r.name for block in fold.held_out for r in problem.train if r.name == block.case.name}
+    held = {r.name for block in fold.held_out for r in problem.train if r.name == block.name}
     records = [r for r in problem.train if r.name in held]
     squares = {r.name: squared(model, r, rule.past) for r in records}
     scale = np.concatenate([r.y for r in fold.train]).std(axis=0)

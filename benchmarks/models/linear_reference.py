@@ -87,7 +87,7 @@ class InProcess:
         outputs, findings = list[list[np.ndarray]](), list[Any]()
         for fold in self.folds:
             model = self.fitted(source, fold.train, replace(self.context, seed=fold.index))
-            cases = [block.case for block in fold.held_out]
+            cases = list(fold.held_out)
             outputs.append([
                 model.simulate(c.past_u[None], c.past_y[None], c.u[None])[0] for c in cases
             ])  # fmt: skip

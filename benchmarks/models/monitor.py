@@ -23,8 +23,9 @@ import numpy as np
 
 from asia.analysis.monitor import HeldOut, Observer, TimeVarying, make_observer
 from asia.candidate import Context
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal, Trajectory
-from asia.export.model import ExportModel, TrainingWindow
+from asia.export.model import ExportModel
 from asia.export.targets.c import c_compiler, observed, observer_files
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered
@@ -169,7 +170,8 @@ class Printed:
         compiler = c_compiler()
         assert compiler is not None
         windows = [
-            TrainingWindow(u[:PAST], y[:PAST], u[PAST:], y[PAST:], y[PAST:]) for u, y in records
+            SimulatedSegment(u[:PAST], y[:PAST], u[PAST:], y[PAST:], y_hat=y[PAST:])
+            for u, y in records
         ]
         found, _ = observed(compiler, self.folder, windows, 6)
         return [(one[:, 1], one[:, -1], one[:, 3]) for one in found]

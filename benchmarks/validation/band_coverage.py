@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 
 from asia.data import Array, Signal, Trajectory
+from asia.data.segment import Segment
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.scoring.bands import HeldOutErrors, region_of
-from asia.problem.folds import Block, make_folds, whole
+from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem, read_records
 from asia.problem.problem import Problem
 from asia.search.simulation import BAND_LEVEL, BandBasis
@@ -107,7 +108,7 @@ class Fitted:
     """Fold models of one candidate on one system, with their answers."""
 
     basis: BandBasis
-    test: tuple[Block, ...]
+    test: tuple[Segment, ...]
     answers: tuple[Array, ...]
     """(K, H, ny) for each block of the test."""
 
@@ -135,9 +136,9 @@ def fitted(problem: Problem, test: Sequence[Trajectory], source: str) -> Fitted:
     return Fitted(basis, blocks, tuple(map(np.stack, answers)))
 
 
-def answer(model: Any, block: Block) -> Array:
+def answer(model: Any, block: Segment) -> Array:
     """Simulation (H, ny) of one block."""
-    case = block.case
+    case = block
     return model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
 
 
@@ -145,7 +146,7 @@ def on_test(found: Fitted) -> tuple[Array, Array]:
     """Share of the test samples that the bands hold, and of those outside the region; (ny,)."""
     held = known = outside = 0
     for block, each in zip(found.test, found.answers, strict=True):
-        bands, out = found.basis.around(block.case, each, each.mean(axis=0), BAND_LEVEL)
+        bands, out = found.basis.around(block, each, each.mean(axis=0), BAND_LEVEL)
         inside = (bands.lower <= block.y) & (block.y <= bands.upper)
         held, known = held + inside.sum(axis=0), known + (~np.isnan(block.y)).sum(axis=0)
         outside += out.sum()

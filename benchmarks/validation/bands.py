@@ -22,9 +22,10 @@ import numpy as np
 from band_systems import KINDS, PAST, Kind, Model, fit, make_system
 
 from asia.data import Array, Trajectory
+from asia.data.segment import Segment
 from asia.judge.scoring.bands import HeldOutErrors, region_of
 from asia.judge.scoring.outcome import score_fold
-from asia.problem.folds import Block, Fold, make_folds, whole
+from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
 from asia.search.simulation import BandBasis
 
@@ -80,12 +81,12 @@ class Seen:
     """Mean width of the bands over the deviation of the output: (models, levels), same kind."""
 
 
-def simulated(model: Model, blocks: Sequence[Block]) -> list[Array]:
+def simulated(model: Model, blocks: Sequence[Segment]) -> list[Array]:
     """Simulation of each block (H, ny); those of one length at once."""
     found: list[Array] = [np.zeros(0)] * len(blocks)
     for length in {len(b.y) for b in blocks}:
         alike = [k for k, b in enumerate(blocks) if len(b.y) == length]
-        cases = [blocks[k].case for k in alike]
+        cases = [blocks[k] for k in alike]
         answers = model.simulate(*(np.stack([getattr(c, name) for c in cases])
                                    for name in ("past_u", "past_y", "u")))  # fmt: skip
         for k, y_hat in zip(alike, answers, strict=True):

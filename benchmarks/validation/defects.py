@@ -23,6 +23,7 @@ from multiprocessing import Pool
 import numpy as np
 from defect_systems import SAMPLES, SYSTEMS, Array, Defect, Motion, excitation, measured, run
 
+from asia.data.segment import Segment
 from asia.judge.scoring.checks.check import Cause, Check, Verdict, most_serious
 from asia.judge.scoring.checks.errors import check_overfit
 from asia.judge.scoring.checks.residual import residual_checks
@@ -32,11 +33,7 @@ from asia.judge.scoring.checks.response import (
     check_gain,
     check_long_run,
 )
-from asia.judge.scoring.checks.validation_data import (
-    SimulatedBlock,
-    SimulatedBlocks,
-    without_responses,
-)
+from asia.judge.scoring.checks.validation_data import SimulatedSegments, without_responses
 
 FOLDS, NOISE, ROUNDS = 3, 0.03, 12
 FRICTION = 0.6
@@ -148,10 +145,12 @@ def overfitted(
 def judge(u: Array, y: Array, y_hat: Array, far: Array, parts: list[Array]) -> tuple[Check, ...]:
     """The checks that the causes come from."""
     blocks = tuple(
-        SimulatedBlock(u[held], y[held, None], y_hat[held, k : k + 1], 0, int(held[0]))
+        Segment(u[:0], y[:0, None], u[held], y[held, None], start=int(held[0])).simulated(
+            y_hat[held, k : k + 1]
+        )
         for k, held in enumerate(parts)
     )
-    simulations = SimulatedBlocks(
+    simulations = SimulatedSegments(
         blocks, tuple(f"u{k + 1}" for k in range(u.shape[1])), ("y",), 0.05
     )
     train, held_out = [], []

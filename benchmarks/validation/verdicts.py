@@ -24,16 +24,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from asia.data import Array
+from asia.data.segment import Segment
 from asia.judge.scoring.bands import HeldOutErrors, calibrate, error_sizes
 from asia.judge.scoring.checks.check import Check
 from asia.judge.scoring.checks.errors import check_bands, check_overfit
 from asia.judge.scoring.checks.residual import residual_checks
 from asia.judge.scoring.checks.response import check_gain
-from asia.judge.scoring.checks.validation_data import (
-    SimulatedBlock,
-    SimulatedBlocks,
-    without_responses,
-)
+from asia.judge.scoring.checks.validation_data import SimulatedSegments, without_responses
 from asia.judge.scoring.outcome import combine, score_fold
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import (
@@ -170,13 +167,14 @@ def events(
         figures = Diagnostics(train[-1], 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
         scores.append(score)
         evidence.append(FoldEvidence("0" * 64, "0" * 64, "0" * 64, figures, 1.0))
-        blocks.append(SimulatedBlock(u[part, None], y[part, None], y_hat[part, None], 0,
-                                     int(part[0])))  # fmt: skip
+        inputs, outputs = u[:, None], y[:, None]
+        held_out = Segment(inputs[:0], outputs[:0], inputs[part], outputs[part], start=int(part[0]))
+        blocks.append(held_out.simulated(y_hat[part, None]))
         errors.append(HeldOutErrors(((y - y_hat)[part, None],)))
     together = np.stack(answers)
     apart = [np.std(a - (together.sum(axis=0) - a) / (FOLDS - 1)) for a in together]
     test = stress(u, y, models)
-    checks = validation(SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0), errors, train, held)
+    checks = validation(SimulatedSegments(tuple(blocks), ("u",), ("y",), 1.0), errors, train, held)
     compared = RefitCheck(tuple(train), None, float(np.mean(apart) / scale[0]), (), None)
     recorded = tuple(
         RecordedCheck(c.name, c.verdict, c.sentence, str(c.cause or ""), c.weight) for c in checks
@@ -201,7 +199,7 @@ def stress(u: Array, y: Array, models: list[Simulate]) -> StressTest:
 
 
 def validation(
-    found: SimulatedBlocks, errors: list[HeldOutErrors], train: list[float], held: list[float]
+    found: SimulatedSegments, errors: list[HeldOutErrors], train: list[float], held: list[float]
 ) -> tuple[Check, ...]:
     """The checks that the verdict reads."""
     data, bands = without_responses(found), calibrate(errors, 0.9)

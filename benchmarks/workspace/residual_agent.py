@@ -151,8 +151,8 @@ def look(found: LocalFold) -> Evidence:
     for k in range(pairs[0][1].shape[1]):
         e = [block.y[:, k] - y_hat[:, k] for block, y_hat in pairs]
         memory.append(float(cross_correlation(e, e, 5)[-1]))
-        for i in range(pairs[0][0].case.u.shape[1]):
-            u = [block.case.u[:, i] for block, _ in pairs]
+        for i in range(pairs[0][0].u.shape[1]):
+            u = [block.u[:, i] for block, _ in pairs]
             largest = float(np.abs(cross_correlation(e, u, LAGS)[LAGS:]).max())
             follows.append(largest / independent_band(e, u, 2 * LAGS))
     return Evidence(max(shares.values(), default=0.0), max(follows), max(memory))

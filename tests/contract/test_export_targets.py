@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from asia.data.segment import SimulatedSegment
 from asia.errors import UserError
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.pipeline import TARGETS, find_target, target_names
 from asia.export.targets.numpy import NumpyTarget
 from asia.testing import check_export_target
@@ -74,7 +75,7 @@ class Refusing(NumpyTarget):
 
 
 class FirstWindow(NumpyTarget):
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]):
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]):
         (found,) = super().run(folder, windows)
         return [replace(found, y_hat=found.y_hat[:1])]
 

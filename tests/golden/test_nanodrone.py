@@ -44,7 +44,7 @@ def test_holding_the_last_state(folds: tuple[Fold, ...]) -> None:
     found = [
         score_fold(
             [b.y for b in fold.held_out],
-            [np.tile(b.case.past_y[-1], (50, 1)) for b in fold.held_out],
+            [np.tile(b.past_y[-1], (50, 1)) for b in fold.held_out],
             fold.scale,
             "mae",
         ).value
@@ -92,7 +92,7 @@ def test_the_naive_row_of_the_test(problem: Problem) -> None:
     rule = problem.protocol
     blocks = whole(open_test(problem), rule)
     assert len(blocks) == 390
-    held = [np.tile(b.case.past_y[-1], (50, 1)) for b in blocks]
+    held = [np.tile(b.past_y[-1], (50, 1)) for b in blocks]
     names = [s.name for s in problem.outputs]
     table = mee_table([b.y for b in blocks], held, names, rule.test.groups, rule.test.horizons)
     rows = {g.name: (g.at(10), g.at(50), g.total) for g in table.groups}

@@ -14,6 +14,7 @@ from asia._plugins import parts_of
 from asia._progress import tracked
 from asia._text import one_line
 from asia.data.intake.sheet import Wanted
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, data_digest, filled
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -42,8 +43,7 @@ from asia.judge.scoring.checks.response import (
 )
 from asia.judge.scoring.checks.validation_data import (
     LinearResponse,
-    SimulatedBlock,
-    SimulatedBlocks,
+    SimulatedSegments,
     ValidationCheck,
     ValidationData,
 )
@@ -54,7 +54,7 @@ from asia.ledger.evidence import findings_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.view import Experiment
 from asia.problem.check import responses
-from asia.problem.folds import Block, Case, past_outputs, whole
+from asia.problem.folds import past_outputs, whole
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
 from asia.search.run import LOCK, make_evaluator
@@ -101,7 +101,7 @@ def validation_checks() -> dict[str, ValidationCheck]:
 # Probes of a model beyond its held-out samples: small steps, a long run, later starts.
 
 
-Simulator = Callable[[Sequence[Block]], Sequence[Array]]
+Simulator = Callable[[Sequence[Segment]], Sequence[Array]]
 
 _POINTS = {"low inputs": 0.25, "middle inputs": 0.5, "high inputs": 0.75}
 _SETTLING = 300
@@ -121,16 +121,16 @@ class ProbeRange:
         """Samples of the longer past window."""
         return max(self.past_inputs, self.past_outputs)
 
-    def block(self, u: Array, y: Array | None = None) -> Block:
+    def block(self, u: Array, y: Array | None = None) -> Segment:
         """Inputs (past + H, nu) as a block that starts from the mean output or y (past, ny)."""
         past, ny = self.past, self.records[0].y.shape[1]
         mean = np.concatenate([r.y for r in self.records]).mean(axis=0)
         past_y = (
             np.tile(mean, (self.past_outputs, 1)) if y is None else y[past - self.past_outputs :]
         )
-        case = Case("", u[past - self.past_inputs : past], past_y, u[past:])
-        # All of one record: a request then holds one block, whatever its length.
-        return Block(case, np.zeros((len(u) - past, ny)), 0, 0)
+        # All of one record: a request then holds one segment, whatever its length.
+        past_u, ahead = u[past - self.past_inputs : past], np.zeros((len(u) - past, ny))
+        return Segment(past_u, past_y, u[past:], ahead)
 
 
 def linear_responses(
@@ -146,7 +146,7 @@ def linear_responses(
         for number in range(min(len(names), 4))
         if deviation[number] > 0.0
     ]
-    blocks: list[Block] = []
+    blocks: list[Segment] = []
     for point, number in asked:
         held = np.tile(np.quantile(inputs, _POINTS[point], axis=0), (past + 2 * _SETTLING, 1))
         for sign in (1.0, -1.0):
@@ -182,26 +182,29 @@ def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Arr
         return None
 
 
-def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
+def starts(given: ProbeRange, blocks: Sequence[Segment]) -> list[Segment]:
     """Short blocks inside long ones, begun from measured samples; [] without past or room."""
     past = given.past
     long = [b for b in blocks if len(b.y) >= 2 * past + 2 * _AHEAD]
     if past == 0 or not long:
         return []
     each = max(1, 24 // len(long))
-    found: list[Block] = []
+    found: list[Segment] = []
     for block in long:
         for at in np.linspace(past, len(block.y) - _AHEAD, each).astype(int).tolist():
             ahead, before = block.y[at : at + _AHEAD], block.y[:at]
             if np.isnan(ahead).all(axis=0).any() or np.isnan(before).all(axis=0).any():
                 continue
-            case = replace(
-                block.case,
-                past_u=block.case.u[at - given.past_inputs : at],
-                past_y=past_outputs(block.y, at, given.past_outputs, block.case.name),
-                u=block.case.u[at : at + _AHEAD],
+            later = replace(
+                block,
+                past_u=block.u[at - given.past_inputs : at],
+                past_y=past_outputs(block.y, at, given.past_outputs, block.name),
+                u=block.u[at : at + _AHEAD],
+                y=ahead,
+                record=0,
+                start=block.start + at,
             )
-            found.append(Block(case, ahead, 0, block.start + at))
+            found.append(later)
     return found
 
 
@@ -374,7 +377,7 @@ class _Validation:
     def _basis(self) -> BandBasis:
         return band_basis(self.evaluator, self.run.view, self.run.store, self.use)
 
-    def _check_overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+    def _check_overfit(self, found: SimulatedSegments) -> tuple[Check, ...]:
         """Check for overfitting; () for an older ledger."""
         errors = findings_of(self.run.store, self.best)
         if not errors:
@@ -404,7 +407,7 @@ class _Validation:
         return (Check("training records", Verdict.SHOWN, sentence),)
 
     def _check_bands(
-        self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]
+        self, basis: BandBasis, blocks: Sequence[Segment], y_hat: Sequence[Array]
     ) -> Check:
         """Check the coverage of a new record by the output bands."""
         behind = models_behind(self.run.view, self.use)
@@ -415,7 +418,7 @@ class _Validation:
             return no_bands("a fold model does not simulate this record")
         held, known, errors = 0.0, 0, list[Array]()
         for block, folds, mean in zip(blocks, each, y_hat, strict=True):
-            bands, _ = basis.around(block.case, folds, mean, BAND_LEVEL)
+            bands, _ = basis.around(block, folds, mean, BAND_LEVEL)
             inside = (bands.lower <= block.y) & (block.y <= bands.upper)
             held, known = held + inside.sum(axis=0), known + (~np.isnan(block.y)).sum(axis=0)
             errors.append(block.y - mean)
@@ -432,17 +435,17 @@ class _Validation:
         return check_bands(held, independent, outputs, BAND_LEVEL, basis.calibration.withdrawn)
 
     def _simulations(
-        self, pairs: Sequence[tuple[Block, Array]], records: Sequence[Trajectory]
-    ) -> SimulatedBlocks:
-        return SimulatedBlocks(
-            tuple(SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs),
+        self, pairs: Sequence[tuple[Segment, Array]], records: Sequence[Trajectory]
+    ) -> SimulatedSegments:
+        return SimulatedSegments(
+            tuple(block.simulated(y_hat) for block, y_hat in pairs),
             tuple(s.name for s in self.problem.inputs),
             tuple(s.name for s in self.problem.outputs),
             self.problem.sampling_time,
             tuple(r.name for r in records),
         )
 
-    def _registered_checks(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+    def _registered_checks(self, found: SimulatedSegments) -> tuple[Check, ...]:
         """Return the checks of the registry."""
         simulator = self._simulator(final_members(self.run.view, self.use))
         given = self._probe_range
@@ -475,10 +478,10 @@ class _Validation:
         rule = self.problem.protocol
         return ProbeRange(self.evaluator.data.records, rule.past_inputs, rule.past_outputs)
 
-    def _check_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
+    def _check_windows(self, pairs: Sequence[tuple[Segment, Array]]) -> Check:
         """Check windows, each of which starts anew."""
         past = self.problem.protocol.past_outputs
-        hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
+        hold = np.stack([filled(b.y - b.past_y[-1]) for b, _ in pairs]) if past else None
         errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
         return check_steps_ahead(errors, hold, self.evaluator.data.scale)
 
@@ -503,7 +506,7 @@ class _Validation:
                 continue
             for block, reply in zip(blocks, replies, strict=True):
                 model_errors.append(filled(block.y - reply))
-                hold_errors.append(filled(block.y - block.case.past_y[-1]))
+                hold_errors.append(filled(block.y - block.past_y[-1]))
         if not model_errors:
             return no_steps_ahead(
                 "no held-out part is long enough for a start, or no simulation was finite"
@@ -514,7 +517,7 @@ class _Validation:
     def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
         """Simulations by a final model, in the sandbox."""
 
-        def simulate(blocks: Sequence[Block]) -> list[Array]:
+        def simulate(blocks: Sequence[Segment]) -> list[Array]:
             each = simulate_members(self.evaluator, self.run, members, blocks)
             return [y_hat.mean(axis=0) for y_hat in each]
 

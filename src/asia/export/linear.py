@@ -202,7 +202,7 @@ def linearize(
     ]
     records = evaluator.data.records
     blocks = evaluator.data.training_blocks[:_STARTS]
-    windows = [(block.case.past_u, block.case.past_y, block.case.u) for block in blocks]
+    windows = [(block.past_u, block.past_y, block.u) for block in blocks]
     mean = np.concatenate([record.u for record in records]).mean(axis=0)
 
     def starts(of: LoweredModel) -> list[Array]:

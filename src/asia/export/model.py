@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal
 from asia.lowering.program import LoweredModel
 
@@ -42,7 +43,7 @@ class ExportModel:
     """(nu, 2): least and greatest in the training records."""
     output_range: Array
     """(ny, 2): least and greatest in the training records."""
-    example: TrainingWindow | None = None
+    example: SimulatedSegment | None = None
     """Short case with ASIA's simulation of it, for files that hold one."""
     bands: tuple[Band, ...] = ()
     """Bands of the simulated outputs."""
@@ -66,27 +67,6 @@ class ExportModel:
             "bands": [{"level": b.level, "half_width": b.half_width.tolist()} for b in self.bands],
             "notes": list(self.notes),
         }
-
-
-@dataclass(frozen=True)
-class TrainingWindow:
-    """Case from the training records, with ASIA's own simulation of it."""
-
-    past_u: Array
-    """(n_past_u, nu)."""
-    past_y: Array
-    """(n_past_y, ny)."""
-    u: Array
-    """(H, nu)."""
-    y_hat: Array
-    """(H, ny)."""
-    y: Array
-    """(H, ny), as measured."""
-
-    def first(self, samples: int) -> TrainingWindow:
-        """Return a window of at most so many samples."""
-        cut = slice(samples)
-        return TrainingWindow(self.past_u, self.past_y, self.u[cut], self.y_hat[cut], self.y[cut])
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,11 @@ from asia.analysis.monitor import (
 from asia.data.intake.formats import file_format
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.timestamps import time_column
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal, Trajectory, real_numbers
 from asia.errors import UserError
 from asia.export.linear import StepModels, step_models
-from asia.export.model import ExportModel, TrainingWindow
+from asia.export.model import ExportModel
 from asia.export.pipeline import measured
 from asia.export.target import DOUBLE, ParityRow
 from asia.export.targets.c import c_compiler, example_csv, observed, observer_files
@@ -298,9 +299,8 @@ def export_observer(monitor: Monitor, folder: Path) -> tuple[list[Path], ParityR
     row = ParityRow("c observer", None, DOUBLE, None, sum(map(len, files.values())),
                     "no C compiler here: not compared")  # fmt: skip
     u, y = record.u[:_COMPARED], record.measured_y[:_COMPARED]
-    window = TrainingWindow(
-        u[past - low.n_past_u : past], y[past - low.n_past_y : past], u[past:], y[past:], y[past:]
-    )
+    before = u[past - low.n_past_u : past], y[past - low.n_past_y : past]
+    window = SimulatedSegment(*before, u[past:], y[past:], y_hat=y[past:])
     files["example.csv"] = example_csv(model, window).encode()
     if compiler is not None:
         filter_ = Filter(observer)
@@ -350,14 +350,14 @@ def _held_out(models: StepModels) -> list[HeldOut]:
     for fold in models.evaluator.data.folds:
         previous = None
         for block in fold.held_out:
-            case, y = block.case, block.y
             if previous is not None and (previous.record, previous.stop) == (
                 block.record, block.start,
             ):  # fmt: skip
                 last = found[-1]
-                found[-1] = replace(last, u=np.vstack([last.u, case.u]), y=np.vstack([last.y, y]))
+                u, y = np.vstack([last.u, block.u]), np.vstack([last.y, block.y])
+                found[-1] = replace(last, u=u, y=y)
             else:
-                found.append(HeldOut(fold.index, case.past_u, case.past_y, case.u, y))
+                found.append(HeldOut(fold.index, block.past_u, block.past_y, block.u, block.y))
             previous = block
     return found
 

@@ -15,9 +15,10 @@ from asia._plugins import Part, parts_of
 from asia._progress import tracked
 from asia._text import suggestion
 from asia.data.preprocess import Preprocess
+from asia.data.segment import Segment, SimulatedSegment
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
-from asia.export.model import Band, ExportModel, TrainingWindow
+from asia.export.model import Band, ExportModel
 from asia.export.target import ParityRow, Target, parity_row
 from asia.export.targets.c import CTarget
 from asia.export.targets.casadi import CasadiTarget
@@ -30,7 +31,6 @@ from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run, scored_experiment
 from asia.lowering.program import Builder, LoweredModel, inlined
-from asia.problem.folds import Block, Case
 from asia.problem.load import load_lock
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import (
@@ -251,8 +251,8 @@ def measured(low: LoweredModel, done: Preprocess, inputs: Sequence[Signal]) -> L
 
 
 def measured_window(
-    window: TrainingWindow, done: Preprocess, inputs: Sequence[Signal]
-) -> TrainingWindow:
+    window: SimulatedSegment, done: Preprocess, inputs: Sequence[Signal]
+) -> SimulatedSegment:
     """Window with inputs as measured, at the samples that are kept.
 
     It is shorter by the longest delay; inputs before it that no model reads are made up.
@@ -262,9 +262,8 @@ def measured_window(
     acting = np.concatenate([window.past_u, window.u])
     rows = np.arange(len(acting))[:, None] - longest + np.array(late)
     u = acting[np.clip(rows, 0, len(acting) - 1), np.arange(acting.shape[1])]
-    samples = len(window.u) - longest
-    y_hat, y = window.y_hat[:samples], window.y[:samples]
-    return TrainingWindow(u[: n + longest], window.past_y, u[n + longest :], y_hat, y)
+    shorter = window.first(len(window.u) - longest)
+    return replace(shorter, past_u=u[: n + longest], u=u[n + longest :])
 
 
 def _stacked(build: Builder, rows: int, last: int) -> int:
@@ -308,7 +307,7 @@ class Ready:
 
     model: ExportModel
     """Model as the printers receive it."""
-    windows: tuple[TrainingWindow, ...]
+    windows: tuple[SimulatedSegment, ...]
     """Windows from the training records."""
 
 
@@ -454,26 +453,22 @@ def _members(run: Run, model: str | None) -> tuple[str, tuple[FinalMember, ...]]
 
 def _windows(
     evaluator: Evaluator, run: Run, members: Sequence[FinalMember]
-) -> list[TrainingWindow]:
+) -> list[SimulatedSegment]:
     """First training windows, the last of them cut short."""
-    blocks: list[Block] = []
+    blocks: list[Segment] = []
     left = _MOST_SAMPLES
     for block in evaluator.data.training_blocks[:_MOST_WINDOWS]:
-        case, samples = block.case, min(len(block.y), left)
+        samples = min(len(block.y), left)
         if samples < 1:
             break
         left -= samples
-        short = Case(case.name, case.past_u, case.past_y, case.u[:samples])
-        blocks.append(Block(short, block.y[:samples], record=block.record, start=block.start))
+        blocks.append(replace(block, u=block.u[:samples], y=block.y[:samples]))
     each = simulate_members(evaluator, run, members, blocks)
-    return [
-        TrainingWindow(b.case.past_u, b.case.past_y, b.case.u, y.mean(axis=0), b.y)
-        for b, y in zip(blocks, each, strict=True)
-    ]
+    return [block.simulated(y_hat.mean(axis=0)) for block, y_hat in zip(blocks, each, strict=True)]
 
 
 def _bands(
-    run: Run, use: Use, first: TrainingWindow, every: int, isolation: Isolation | None
+    run: Run, use: Use, first: SimulatedSegment, every: int, isolation: Isolation | None
 ) -> tuple[Band, ...]:
     """Mean half width of the output bands on a window, inside the region of validity."""
     past_u, past_y, u = (

@@ -8,8 +8,9 @@ from typing import LiteralString, Protocol
 import numpy as np
 
 from asia._plugins import is_installed
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, spread_of
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 
 
 def missing_package(*names: LiteralString) -> str | None:
@@ -55,7 +56,7 @@ class Target(Protocol):
         """Print the files. Raises UserError if this target cannot hold the model."""
         ...
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Simulate with the files in a folder, or return why they cannot be run here."""
         ...
 
@@ -89,7 +90,7 @@ class ParityRow:
 
 
 def parity_row(
-    target: str, answers: Answers, windows: Sequence[TrainingWindow], single: bool, size: int
+    target: str, answers: Answers, windows: Sequence[SimulatedSegment], single: bool, size: int
 ) -> ParityRow:
     """Compare the answers of printed files with ASIA's simulation.
 
@@ -107,7 +108,7 @@ def parity_row(
     return ParityRow(name, found, limit, 1e6 * answers.seconds / samples, size)
 
 
-def difference(y_hat: Sequence[Array], windows: Sequence[TrainingWindow]) -> float:
+def difference(y_hat: Sequence[Array], windows: Sequence[SimulatedSegment]) -> float:
     """Largest relative difference over all windows and outputs; infinite where a value is no
     number."""
     spread = spread_of(np.concatenate([w.y for w in windows]))

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Signal
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
-from asia.problem.folds import Block, Fold
+from asia.problem.folds import Fold
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class SimulatedCases:
 
 
 def simulated_cases(
-    fold: Fold, blocks: Sequence[Block], y_hat: Sequence[Array], *, held_out: bool
+    fold: Fold, blocks: Sequence[Segment], y_hat: Sequence[Array], *, held_out: bool
 ) -> tuple[SimulatedCase, ...]:
     """Blocks of a fold, training or held-out ones, with their simulations (H, ny)."""
     offsets = () if held_out else fold.offsets
@@ -65,9 +66,9 @@ def simulated_cases(
         SimulatedCase(
             fold.index + 1,
             held_out,
-            b.case.name,
+            b.name,
             b.start + (offsets[b.record] if offsets else 0),
-            *(tuple(map(tuple, values.tolist())) for values in (b.case.u, b.y, simulated)),
+            *(tuple(map(tuple, values.tolist())) for values in (b.u, b.y, simulated)),
         )
         for b, simulated in zip(blocks, y_hat, strict=True)
     )

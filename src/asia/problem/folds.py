@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from asia.data.segment import Segment
 from asia.data.trajectory import LEAST_RANGE, Array, Trajectory, filled, spread_of
 from asia.errors import UserError
 from asia.problem.protocol import FoldRule, ProtocolRule
@@ -176,48 +177,13 @@ def windows(samples: range, rule: ProtocolRule) -> list[range]:
 # Training samples, simulated samples and past windows of each fold.
 
 
-@dataclass(frozen=True)
-class Case:
-    """One thing to simulate. It holds no output after the past window, so that a candidate may
-    have it.
-
-    Attributes:
-        name: of the record
-        past_u, past_y: past window (n_past_u, nu) and (n_past_y, ny)
-        u: inputs (H, nu) of the samples to simulate
-    """
-
-    name: str
-    past_u: Array
-    past_y: Array
-    u: Array
-
-
-@dataclass(frozen=True)
-class Block:
-    """Case together with the outputs that the evaluator keeps."""
-
-    case: Case
-    y: Array
-    """The measured outputs (H, ny), NaN where none was measured."""
-    record: int
-    """Number of the record among those that were cut, 0-based."""
-    start: int
-    """The first simulated sample in that record, 0-based."""
-
-    @property
-    def stop(self) -> int:
-        """One past the last sample, 0-based."""
-        return self.start + len(self.y)
-
-
 @dataclass(frozen=True, repr=False)
 class Fold:
     """Training records and held-out blocks of one fold."""
 
     index: int
     train: tuple[Trajectory, ...]
-    held_out: tuple[Block, ...]
+    held_out: tuple[Segment, ...]
     """Held-out blocks, those of each record in time order."""
     scale: Array
     """Standard deviation (ny,), ddof 0, of each output over the training samples; with a horizon
@@ -241,20 +207,22 @@ class Fold:
         )
 
 
-def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Block:
+def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Segment:
     """The block `record[start:stop]` with the past windows just before it."""
     if start < rule.past:
         raise UserError(
             f"record '{record.name}': simulation cannot start at sample {start + 1}, "
             f"the past window needs {rule.past} samples before it"
         )
-    case = Case(
-        name=record.name,
+    return Segment(
         past_u=record.u[start - rule.past_inputs : start],
         past_y=past_outputs(record.measured_y, start, rule.past_outputs, record.name),
         u=record.u[start:stop],
+        y=record.measured_y[start:stop],
+        name=record.name,
+        record=index,
+        start=start,
     )
-    return Block(case, record.measured_y[start:stop], index, start)
 
 
 def past_outputs(measured: Array, start: int, count: int, name: str) -> Array:
@@ -284,7 +252,7 @@ def past_outputs(measured: Array, start: int, count: int, name: str) -> Array:
     return filled(known)[window]
 
 
-def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...]:
+def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Segment, ...]:
     """Each record from its first past window to its end: one block, or one for each window.
 
     Windows follow each other every `horizon` samples; the last one ends with the record and may
@@ -300,9 +268,9 @@ _THIRDS = 3
 def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold, ...]:
     """Make the folds of a problem's training records.
 
-    Contiguous: each record is split by `array_split` after its first past window. Block k of every
-    record is held out in fold k; the samples before and after it train, as records of their own. A
-    training record too short to hold its own past window and one case is left out.
+    Contiguous: each record is split by `array_split` after its first past window. Segment k of
+    every record is held out in fold k; the samples before and after it train, as records of their
+    own. A training record too short to hold its own past window and one case is left out.
 
     Forward: one part more; part k + 1 is held out in fold k, and the samples before it train. Tail:
     as forward, with all parts in the last `folds.tail` samples. The samples of `folds.gap` next to
@@ -416,7 +384,7 @@ def _after_first_outputs(
 
 def _blocks(
     records: Sequence[Trajectory], parts: Sequence[Excerpt], rule: ProtocolRule
-) -> tuple[Block, ...]:
+) -> tuple[Segment, ...]:
     return tuple(
         cut(records[part.record], window.start, window.stop, rule, part.record)
         for part in parts
@@ -461,7 +429,7 @@ def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
             where = f"of each of {len(records)} records"
         else:
             first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
-            where = f"samples {first} to {last} of {blocks[0].case.name}"
+            where = f"samples {first} to {last} of {blocks[0].name}"
             if rule.folds.period is not None:
                 where += f", the same {len(blocks[0].y)} of every {rule.folds.period}"
         names.append(f"block {fold.index + 1} of {len(folds)}: {where}")

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from asia.candidate import library_only
+from asia.data.segment import Segment
 from asia.data.trajectory import Array
 from asia.errors import CandidateError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -25,7 +26,7 @@ from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.artifacts import Store
 from asia.ledger.events import GuardLooked, GuardScore, Stack, StackMember
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.folds import Block, whole
+from asia.problem.folds import whole
 from asia.problem.problem import Problem
 from asia.problem.seal import open_guard
 
@@ -36,14 +37,14 @@ Simulation = tuple[Array, ...]
 
 
 def simulated(
-    evaluator: Evaluator, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+    evaluator: Evaluator, source: str, models: Sequence[bytes], blocks: Sequence[Segment]
 ) -> Simulation:
     """Return the mean simulation (H, ny) of each block by fold models. Raises CandidateError."""
     pairs = [(source, model) for model in models]
     return mean_simulation(evaluator.models.simulate_scored(pairs, blocks))
 
 
-def error_on(evaluator: Evaluator, y_hat: Simulation, blocks: Sequence[Block]) -> Score:
+def error_on(evaluator: Evaluator, y_hat: Simulation, blocks: Sequence[Segment]) -> Score:
     """Score a simulation in the search's metric over the standard deviations of all training
     records."""
     data = evaluator.data
@@ -181,7 +182,7 @@ class Gate:
         return float(np.mean(values))
 
     @cached_property
-    def _blocks(self) -> tuple[Block, ...]:
+    def _blocks(self) -> tuple[Segment, ...]:
         return tuple(whole(open_guard(self.problem), self.problem.protocol))
 
     def _simulation(self, number: int, view: SearchView) -> Simulation:

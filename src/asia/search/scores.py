@@ -10,6 +10,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
+from asia.data.segment import Segment
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.results import score_outputs
@@ -18,7 +19,7 @@ from asia.judge.scoring.outcome import Outcome, Score, TestScore, score_test
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Event, Landed, Started, TestedModel, Unsealed, Use
 from asia.ledger.verification import check_lock
-from asia.problem.folds import Block, Fold, make_folds, whole
+from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_lock
 from asia.problem.metrics import MEE, find_metric
 from asia.problem.problem import Problem
@@ -26,7 +27,7 @@ from asia.problem.seal import open_test
 from asia.search.run import LOCK
 
 
-def by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, ...]:
+def by_record(parts: Sequence[Array], blocks: Sequence[Segment]) -> tuple[Array, ...]:
     """The parts of each test record, one for each block, one below the other."""
     records = dict.fromkeys(block.record for block in blocks)
     pairs = list(zip(parts, blocks, strict=True))

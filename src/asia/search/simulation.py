@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from asia._progress import tracked
 from asia._text import one_line
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, filled, real_numbers
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -34,7 +35,7 @@ from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.folds import Block, Case, Fold, cut, whole
+from asia.problem.folds import Fold, cut, whole
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.problem.protocol import ProtocolRule
@@ -130,7 +131,7 @@ class BandBasis:
         return error_sizes(wider, by_step=self.windows)
 
     def around(
-        self, case: Case, folds: Array, y_hat: Array, level: float
+        self, case: Segment, folds: Array, y_hat: Array, level: float
     ) -> tuple[Bands, NDArray[np.bool_]]:
         """Bands at the level, and whether each sample (H,) is outside the region of validity,
         where the bands are wider in proportion to the distance. folds: the simulations (K, H, ny)
@@ -260,7 +261,7 @@ def simulate(
     if behind != members:
         (folds,) = simulate_members(evaluator, run, behind, [block])
     basis = band_basis(evaluator, run.view, run.store, named)
-    found, outside = basis.around(block.case, folds, y_hat, bands)
+    found, outside = basis.around(block, folds, y_hat, bands)
     mean, lower, upper = (done.refined(edge, len(u)) for edge in (y_hat, found.lower, found.upper))
     outside = np.repeat(outside, done.decimate)[: len(u)]
     withdrawn = basis.calibration.withdrawn
@@ -287,7 +288,7 @@ def simulate_cases(
 
 def _block(
     run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array, record: int = 0
-) -> Block:
+) -> Segment:
     """Return a case as a block. Raises UserError for an array of a wrong shape."""
     rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
     done, every = problem.preprocess, problem.preprocess.decimate
@@ -309,8 +310,7 @@ def _block(
         whole = done.inputs(np.concatenate([before, after, held]), problem.inputs)
         before, after = whole[: rule.past_inputs], whole[rule.past_inputs :]
         past = done.outputs(past)
-    case = Case(run.name, before, past, after)
-    return Block(case, np.zeros((len(after), ny)), record=record, start=0)
+    return Segment(before, past, after, np.zeros((len(after), ny)), run.name, record)
 
 
 @contextmanager
@@ -334,7 +334,7 @@ def loading_stored_models(view: SearchView) -> Generator[None]:
 
 
 def simulate_members(
-    evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Block]
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Segment]
 ) -> list[Array]:
     """Simulations (K, H, ny) of each block whose mean is that of the members. Raises
     CandidateError, and UserError as `loading_stored_models`."""
@@ -408,7 +408,7 @@ def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None
     )
 
 
-def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) -> list[Block]:
+def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) -> list[Segment]:
     """Some cases of the records that a fold trains on, of `most` samples in all."""
     if rule.horizon is not None:
         blocks = whole(fold.train, rule)
@@ -421,7 +421,7 @@ def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) 
     ]
 
 
-def _spread(blocks: Sequence[Block], rule: ProtocolRule, most: int) -> list[int]:
+def _spread(blocks: Sequence[Segment], rule: ProtocolRule, most: int) -> list[int]:
     """Indices of some evenly spaced windows, or of the first complete records."""
     if rule.horizon is None:
         ends = np.cumsum([len(block.y) for block in blocks[:_MOST_RECORDS]])

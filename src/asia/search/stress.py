@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import CandidateError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -28,7 +29,7 @@ from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_value
 from asia.ledger.verdict import BOUNDED, stress_text
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.folds import Block, Case, cut
+from asia.problem.folds import cut
 from asia.problem.protocol import ProtocolRule
 
 LIMIT = BOUNDED.level
@@ -47,7 +48,7 @@ _BENDS = 50
 
 def stress_cases(
     records: Sequence[Trajectory], rule: ProtocolRule, seed: int = 0
-) -> tuple[Block, ...]:
+) -> tuple[Segment, ...]:
     """Cases of one length with inputs inside their training ranges; their outputs are unknown."""
     random = np.random.default_rng(seed)
     longest = max(len(record) for record in records)
@@ -74,14 +75,15 @@ def stress_cases(
         inputs.append(np.clip(drawn(slice(None)) + level, low, high))
     for scale in _SCALES:
         inputs.append(np.clip(middle + scale * (drawn(slice(None)) - middle), low, high))
-    blocks: list[Block] = []
+    blocks: list[Segment] = []
     for u in inputs:
         record = records[int(random.integers(len(records)))]
         start = int(random.integers(rule.past, len(record)))
-        past_y = cut(record, start, start + 1, rule).case.past_y
+        past_y = cut(record, start, start + 1, rule).past_y
         past_y = past_y + _PERTURBATION * spread * random.standard_normal(past_y.shape)
-        case = Case("stress", u[: rule.past_inputs], past_y, u[rule.past_inputs :])
-        blocks.append(Block(case, np.zeros((length, len(spread))), 0, start))
+        y = np.zeros((length, len(spread)))
+        past_u, ahead = u[: rule.past_inputs], u[rule.past_inputs :]
+        blocks.append(Segment(past_u, past_y, ahead, y, "stress", start=start))
     return tuple(blocks)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia._progress import tracked
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, data_digest
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -26,7 +27,7 @@ from asia.ledger.looks import record_look
 from asia.ledger.run import model_to_use
 from asia.ledger.verification import check_lock, verify
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.folds import Block, whole
+from asia.problem.folds import whole
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.problem.seal import check_openable, open_test
@@ -184,7 +185,7 @@ def _score(
 class _TestScorer:
     evaluator: Evaluator
     store: Store
-    blocks: tuple[Block, ...]
+    blocks: tuple[Segment, ...]
     problem: Problem
     simulated: dict[FinalMember, Sequence[Answers] | Failure] = field(
         default_factory=dict[FinalMember, "Sequence[Answers] | Failure"]
@@ -230,7 +231,7 @@ class _TestScorer:
         highs: list[Array] = []
         outsides: list[Array] = []
         for block, each, mean in zip(self.blocks, folds, final, strict=True):
-            found, out = basis.around(block.case, each, mean.mean(axis=0), BAND_LEVEL)
+            found, out = basis.around(block, each, mean.mean(axis=0), BAND_LEVEL)
             lows.append(found.lower)
             highs.append(found.upper)
             outsides.append(out[:, None].astype(np.float64))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asia.candidate import Context, check_source, executed_source
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError
 from asia.judge.evaluation.relations import suspicions
@@ -12,7 +13,7 @@ from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.availability import open_worker, probe
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
-from asia.problem.folds import Block, whole
+from asia.problem.folds import whole
 from asia.problem.physics import ParameterRange, Physics
 from asia.problem.protocol import ProtocolRule
 
@@ -82,7 +83,7 @@ def _fitted(
     source: str,
     records: Sequence[Trajectory],
     context: Context,
-    blocks: Sequence[Block],
+    blocks: Sequence[Segment],
 ) -> tuple[Array, ...]:
     worker.fit(executed_source(source), records, context)
     return simulate_held_out(worker, blocks)

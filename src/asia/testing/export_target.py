@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Target, parity_row
 from asia.lowering.evaluation import simulate
 from asia.lowering.program import LoweredModel
@@ -139,15 +140,15 @@ def _models() -> dict[str, ExportModel]:
     return models
 
 
-def _windows(lowered: LoweredModel) -> Sequence[TrainingWindow]:
+def _windows(lowered: LoweredModel) -> Sequence[SimulatedSegment]:
     random = np.random.default_rng(0)
 
     def drawn(samples: int, channels: int) -> Array:
         return random.uniform(-1.0, 1.0, (samples, channels))
 
-    windows: list[TrainingWindow] = []
+    windows: list[SimulatedSegment] = []
     for samples in (40, 20):
         past_u, past_y, u = drawn(_PAST, _NU), drawn(_PAST, _NY), drawn(samples, _NU)
         y_hat = simulate(lowered, past_u, past_y, u)
-        windows.append(TrainingWindow(past_u, past_y, u, y_hat, y_hat))
+        windows.append(SimulatedSegment(past_u, past_y, u, y_hat, y_hat=y_hat))
     return windows

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from asia.data.segment import Segment
 from asia.data.trajectory import Array
 from asia.judge.scoring.checks.check import Cause, Check, Verdict
 from asia.judge.scoring.checks.response import HORIZONS, impulse_response
 from asia.judge.scoring.checks.validation_data import (
     LinearResponse,
-    SimulatedBlock,
-    SimulatedBlocks,
+    SimulatedSegments,
     ValidationCheck,
     ValidationData,
 )
@@ -116,7 +116,8 @@ def _data(
     parts = [np.array_split(x, 3) for x in (u[:, None], measured, simulated)]
     starts = np.cumsum([0, *(len(p) for p in parts[0])]).tolist()
     blocks = tuple(
-        SimulatedBlock(a, b, c, 0, start) for a, b, c, start in zip(*parts, starts[:3], strict=True)
+        Segment(u[:0], y[:0], u, y, start=start).simulated(y_hat)
+        for u, y, y_hat, start in zip(*parts, starts[:3], strict=True)
     )
     names = tuple(f"output {k}" for k in range(1, outputs + 1))
 
@@ -129,7 +130,7 @@ def _data(
     up = np.tile(_simulated(np.full(300, size))[:, None], (1, outputs))
     response = LinearResponse("middle inputs", "input", impulse_response(up, -up, 1e-3))
     return ValidationData(
-        simulations=SimulatedBlocks(blocks, ("input",), names, 0.5),
+        simulations=SimulatedSegments(blocks, ("input",), names, 0.5),
         linear_responses=() if defect == "unstable" else (response,),
         lowest=lowest,
         highest=highest,

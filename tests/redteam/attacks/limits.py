@@ -207,7 +207,7 @@ def _message_by_figures(_: Scene) -> SearchAttackResult:
     problem = small_problem("simulation")
     # The second fold: its training cases do not begin where the held-out ones do.
     fold = make_folds(problem.records, problem.rule)[1]
-    secret = (float(fold.held_out[0].case.past_y[-1, 0]) + 5.0) / 10.0
+    secret = (float(fold.held_out[0].past_y[-1, 0]) + 5.0) / 10.0
     read: list[str] = []
     for level in _levels():
         evaluator = _evaluator(problem, fold, level)
@@ -230,7 +230,7 @@ def _message_plainly(_: Path) -> bool:
     """The figures of a process after it has answered."""
     problem = small_problem("simulation")
     fold = make_folds(problem.records, problem.rule)[1]
-    case = fold.held_out[0].case
+    case = fold.held_out[0]
     model = _module(MESSAGES["memory"], problem).fit(fold.train, problem.context)
     model.simulate(case.past_u[None], case.past_y[None], case.u[None])
     secret = (float(case.past_y[-1, 0]) + 5.0) / 10.0

@@ -80,7 +80,7 @@ def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
     with contextlib.suppress(Exception):
         Path(_MODEL).write_bytes(pickle.dumps(model))
     y = np.stack([block.y for block in fold.held_out])
-    cases = [block.case for block in fold.held_out]
+    cases = list(fold.held_out)
     arrays = [np.stack([getattr(c, n) for c in cases]) for n in ("past_u", "past_y", "u")]
     for k in range(len(y) if problem.rule.horizon else 0):
         model.simulate(*(a[k : k + 1] for a in arrays))  # one by one first, as a trial

@@ -23,6 +23,7 @@ from asia.analysis.monitor import (
     increments,
     make_observer,
 )
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array
 from asia.lowering.evaluation import evaluate
 from asia.lowering.program import Builder, LoweredModel
@@ -223,7 +224,7 @@ def test_gains_and_offsets_of_signals_are_states(
 
 def test_the_observer_in_c_gives_the_same_to_1e_9(observer: Observer, tmp_path: Path) -> None:
     from asia.data.trajectory import Signal
-    from asia.export.model import ExportModel, TrainingWindow
+    from asia.export.model import ExportModel
     from asia.export.targets.c import c_compiler, observed, observer_files
 
     compiler = c_compiler()
@@ -243,7 +244,7 @@ def test_the_observer_in_c_gives_the_same_to_1e_9(observer: Observer, tmp_path: 
         [[*s.y_hat, s.nis, s.statistic, *s.parameters, *s.deviations,
           -1 if s.since is None else s.since] for s in found]
     )  # fmt: skip
-    window = TrainingWindow(u[:1], y[:1], u[1:], y[1:], y[1:])
+    window = SimulatedSegment(u[:1], y[:1], u[1:], y[1:], y_hat=y[1:])
     (printed,), _ = observed(compiler, tmp_path, [window], 6)
     assert {s.since for s in found} > {None}
     np.testing.assert_allclose(printed[:650], expected[:650], rtol=1e-9, atol=1e-9)

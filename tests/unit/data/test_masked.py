@@ -79,22 +79,22 @@ def test_no_held_out_output_reaches_training(seed: int, past: int) -> None:
         for a, b in zip(fold.train, other.train, strict=True):
             assert np.array_equal(a.y, b.y)
             assert a.missing is not None
-        assert np.array_equal(block.case.past_y, other.held_out[0].case.past_y)
-        assert np.isfinite(block.case.past_y).all()
+        assert np.array_equal(block.past_y, other.held_out[0].past_y)
+        assert np.isfinite(block.past_y).all()
         assert np.isnan(block.y).any()
 
 
 def test_a_past_window_is_filled_from_before_it_begins() -> None:
     r = record([3.0, NAN, NAN, 8.0, 9.0])
     (block,) = whole([r], ProtocolRule(past_inputs=2, past_outputs=2))
-    assert block.case.past_y[:, 0].tolist() == [3.0, 3.0]
+    assert block.past_y[:, 0].tolist() == [3.0, 3.0]
     assert np.array_equal(block.y[:, 0], [NAN, 8.0, 9.0], equal_nan=True)
     burst = record([1.0, 2.0, *[NAN] * 4, 5.0, 6.0, 7.0, 8.0, *range(20)])
     (block,) = whole([burst], ProtocolRule(past_inputs=4, past_outputs=2))
-    assert (block.start, block.case.past_y[:, 0].tolist()) == (8, [5.0, 6.0])
+    assert (block.start, block.past_y[:, 0].tolist()) == (8, [5.0, 6.0])
     late = record([NAN, NAN, NAN, 8.0, 9.0])
     (block,) = whole([late], ProtocolRule(past_inputs=2, past_outputs=2))
-    assert (block.start, block.case.past_y[:, 0].tolist()) == (4, [8.0, 8.0])
+    assert (block.start, block.past_y[:, 0].tolist()) == (4, [8.0, 8.0])
 
 
 def test_a_fold_without_a_measured_output_is_refused() -> None:

@@ -136,8 +136,8 @@ def test_folds_hold_out_whole_realisations(name: str, files: Path) -> None:
     folds = make_folds(problem.train, problem.protocol)
     if problem.protocol.folds.kind == "leave_one_group_out":
         for fold in folds:
-            held = {b.case.name.split("_")[0] for b in fold.held_out}
-            assert not {b.case.name for b in fold.held_out} & {t.name for t in fold.train}
+            held = {b.name.split("_")[0] for b in fold.held_out}
+            assert not {b.name for b in fold.held_out} & {t.name for t in fold.train}
             if name == "parallel_wiener_hammerstein":
                 assert not held & {t.name.split("_")[0] for t in fold.train}
     share = sum(len(t) for t in folds[0].train) / sum(len(t) for t in problem.train)

@@ -5,11 +5,11 @@ import pytest
 
 from asia.data import Signal, Trajectory, data_digest
 from asia.data.preprocess import Preprocess
+from asia.data.segment import Segment
 from asia.data.statistics import delays
 from asia.errors import UserError
 from asia.ledger.run import Run
 from asia.problem.create import Preparation, init_problem
-from asia.problem.folds import Case
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Problem
@@ -87,7 +87,7 @@ def test_model_inputs_and_outputs(made: Path) -> None:
     run = type("Named", (), {"name": "run"})()
     assert not isinstance(run, Run)
     block = simulation._block(run, problem, raw.u[:start], raw.y[3:start], raw.u[start:])
-    case: Case = block.case
+    case: Segment = block
     count = len(test) - past
     assert np.array_equal(case.past_u, test.u[:past])
     assert np.array_equal(case.past_y, test.y[:past])

@@ -10,7 +10,8 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.data.relations import Transport
-from asia.export.model import ExportModel, TrainingWindow
+from asia.data.segment import SimulatedSegment
+from asia.export.model import ExportModel
 from asia.export.pipeline import Ready
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes
@@ -187,7 +188,7 @@ def ready(model: Any, lowered: LoweredModel | None = None, samples: int = 40) ->
         past_y = SCALING.y_mean + random.uniform(-1, 1, (PAST, NY))
         u = SCALING.u_mean + SCALING.u_std * random.uniform(-1, 1, (length, NU))
         y_hat = model.simulate(past_u[None], past_y[None], u[None])[0]
-        windows.append(TrainingWindow(past_u, past_y, u, y_hat, y_hat))
+        windows.append(SimulatedSegment(past_u, past_y, u, y_hat, y_hat=y_hat))
     spans = np.array([[0.5, 1.5], [-4.0, 0.0]])
     export = ExportModel(
         "run1", "refit", "made_up", low, CONTEXT.inputs, CONTEXT.outputs, 0.5, spans, spans,

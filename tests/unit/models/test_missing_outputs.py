@@ -107,7 +107,7 @@ def simulated(model: Any, context: Context, fresh: Trajectory) -> Array:
     rule = ProtocolRule(past_inputs=PAST, past_outputs=PAST)
     step = context.horizon or LENGTH - PAST
     starts = range(PAST, LENGTH - step + 1, step)
-    cases = [cut(fresh, k, k + step, rule).case for k in starts]
+    cases = [cut(fresh, k, k + step, rule) for k in starts]
     parts = [np.stack([getattr(c, name) for c in cases]) for name in ("past_u", "past_y", "u")]
     return np.asarray(model.simulate(*parts)).reshape(-1, 2)
 

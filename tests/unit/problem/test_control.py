@@ -29,7 +29,7 @@ def test_scenarios_are_records_from_outside_signals_to_targets(tmp_path: Path) -
     assert not np.array_equal(first.u, second.u)
     # A fold holds out whole scenarios, and errors count in tolerances.
     for fold in make_folds(problem.train, problem.protocol):
-        held = {block.case.name for block in fold.held_out}
+        held = {block.name for block in fold.held_out}
         assert held.isdisjoint(r.name for r in fold.train)
         assert fold.scale.tolist() == [0.2, pytest.approx(0.3)]
 

@@ -16,9 +16,10 @@ import numpy as np
 
 from asia._files import PACKAGE
 from asia.analysis.monitor import INCREASE, Observer
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers, Target
 from asia.export.targets.indices import Places, inside_places, kept_axes, slices, source_places
 from asia.lowering.program import Node, Program, Shape
@@ -76,7 +77,7 @@ def _names(signals: Sequence[Signal]) -> str:
     return ",".join(_plain(s.name) for s in signals)
 
 
-def example_csv(model: ExportModel, window: TrainingWindow) -> str:
+def example_csv(model: ExportModel, window: SimulatedSegment) -> str:
     """Window in the CSV format of `main.c`: the outputs after its past are those of ASIA's
     simulation."""
     past = max(len(window.past_u), len(window.past_y))
@@ -562,7 +563,7 @@ one."""
         code = _code_bytes(files)
         return Printed(files, sizes | ({} if code is None else {"code": code}))
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Compile the files here and simulate in double and in single precision."""
         compiler = c_compiler()
         if compiler is None:
@@ -707,7 +708,7 @@ def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
 
 
 def observed(
-    compiler: str, folder: Path, windows: Sequence[TrainingWindow], width: int
+    compiler: str, folder: Path, windows: Sequence[SimulatedSegment], width: int
 ) -> tuple[list[Array], float]:
     """Compile the files of `observer_files` and run them on windows: results (H, width) as
     `observer_harness.c` writes them, and the seconds of all."""
@@ -776,7 +777,7 @@ def _function(
 
 
 def _simulated(
-    compiler: str, folder: Path, windows: Sequence[TrainingWindow], *, single: bool
+    compiler: str, folder: Path, windows: Sequence[SimulatedSegment], *, single: bool
 ) -> Answers:
     calls = [((w.past_u, w.past_y, w.u), w.y_hat.shape) for w in windows]
     y_hat, seconds = _run_compiled(

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers, missing_package
 from asia.export.targets.indices import (
     Places,
@@ -68,7 +69,7 @@ and absolute values have no second derivative where they switch."""
                 files[path.name] = path.read_bytes()
         return Printed(files)
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Simulate with the saved functions, all samples of a window in one call."""
         import casadi as ca
 

@@ -16,9 +16,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from asia._plugins import is_installed
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array
 from asia.errors import InternalError
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers
 from asia.export.targets.c import c_compiler, c_source, compile_c, header, template
 
@@ -100,7 +101,7 @@ made on."""
         """Print both units."""
         return Printed({f"model_fmi{v}.fmu": _unit(model, v) for v in (2, 3)})
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Validate the units and simulate them with fmpy."""
         from fmpy import extract, read_model_description
         from fmpy.validation import validate_fmu
@@ -121,7 +122,7 @@ made on."""
         return found
 
 
-def _simulated(described: Any, folder: str, version: int, window: TrainingWindow) -> Array:
+def _simulated(described: Any, folder: str, version: int, window: SimulatedSegment) -> Array:
     from fmpy.fmi2 import FMU2Slave
     from fmpy.fmi3 import FMU3Slave
 

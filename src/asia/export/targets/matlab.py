@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from asia.data.segment import SimulatedSegment
 from asia.errors import InternalError
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers, Target
 from asia.export.targets.indices import (
     inside_places,
@@ -91,7 +92,7 @@ block or import the target fmu."""
             | {"asia_constants.mat": _mat(numbers)}
         )
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Simulate with Octave, if it is installed."""
         octave = shutil.which("octave-cli") or shutil.which("octave")
         if octave is None:

@@ -9,8 +9,9 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers, Target
 from asia.lowering.program import LoweredModel, Node, Program
 
@@ -45,7 +46,7 @@ Sample by sample: `x = initial(past_u, past_y, u)`, then `y = output(x, u)` and
         """Print `model.py`."""
         return Printed({_FILE: _source(model).encode()})
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Simulate with the file as a user runs it."""
         simulate = runpy.run_path(str(folder / _FILE))["simulate"]
         begin = time.perf_counter()

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from asia.data.segment import SimulatedSegment
 from asia.errors import UserError
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers, missing_package
 from asia.export.targets.indices import source_places, values_of
 from asia.lowering.program import LoweredModel, Node, Program, Shape
@@ -60,7 +61,7 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
             }
         )
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Simulate with onnxruntime, a window at a time."""
         import onnxruntime as ort
 

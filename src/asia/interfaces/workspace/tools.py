@@ -32,6 +32,7 @@ from asia.candidate import (
     simulate_steps,
     source_tree,
 )
+from asia.data.segment import Segment
 from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
@@ -53,7 +54,7 @@ from asia.judge.scoring.residuals import (
 )
 from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.ledger.text import minima_lines
-from asia.problem.folds import Block, Fold, make_folds, whole
+from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
@@ -79,7 +80,7 @@ class LocalFold:
     """The errors on the held-out part; `score.value` is V of this fold."""
     training_score: FoldScore
     """The errors on the training records."""
-    training: tuple[Block, ...]
+    training: tuple[Segment, ...]
     """The training records as cases."""
     y_hat: tuple[Array, ...]
     """Simulated outputs (H, ny) of each held-out block."""
@@ -105,7 +106,7 @@ class LocalFold:
         """
         blocks = self.fold.held_out if held_out else self.training
         y_hat = self.y_hat if held_out else self.training_y_hat
-        u = [b.case.u for b in blocks]
+        u = [b.u for b in blocks]
         y = [without_gaps(b.y, found) for b, found in zip(blocks, y_hat, strict=True)]
         return signed_residuals(u, y, y_hat, self.fold.scale)
 
@@ -131,7 +132,7 @@ def _evaluate_fold(
     rule: ProtocolRule,
     fit_seconds: float,
 ) -> LocalFold:
-    def score(blocks: Sequence[Block], y_hat: Sequence[Array]) -> FoldScore:
+    def score(blocks: Sequence[Segment], y_hat: Sequence[Array]) -> FoldScore:
         return score_fold([b.y for b in blocks], y_hat, fold.scale, rule.metric)
 
     calls = 0
@@ -215,7 +216,7 @@ def draw(
 ) -> tuple[str, ...]:
     """Simulation and residuals of each fold, written into `plots/`; the names of the files."""
 
-    def some(blocks: Sequence[Block], y_hat: Sequence[Array]) -> tuple[Any, Any]:
+    def some(blocks: Sequence[Segment], y_hat: Sequence[Array]) -> tuple[Any, Any]:
         """Select at most 300 windows, evenly spaced."""
         every = -(-len(blocks) // 300)
         return blocks[::every], y_hat[::every]
@@ -313,7 +314,7 @@ def tables(
         yield f"  {output.name}: {text}"
 
 
-def _correlations(problem: Problem, blocks: Sequence[Block], e: Sequence[Array]) -> str:
+def _correlations(problem: Problem, blocks: Sequence[Segment], e: Sequence[Array]) -> str:
     """Describe the correlation of residuals (H,) with their own past and with the inputs."""
     own = with_own_past(e)
     within = np.flatnonzero(np.abs(own.values) < own.band)
@@ -321,7 +322,7 @@ def _correlations(problem: Problem, blocks: Sequence[Block], e: Sequence[Array])
     longer = "" if len(within) else " or more"
     parts = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
     for i, signal in enumerate(problem.inputs):
-        found = with_input(e, [b.case.u[:, i] for b in blocks])
+        found = with_input(e, [b.u[:, i] for b in blocks])
         place = int(np.argmax(np.abs(found.values)))
         largest = float(found.values[place])
         side = "above" if abs(largest) > found.band else "within"

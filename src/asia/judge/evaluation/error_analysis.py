@@ -14,13 +14,14 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context, Model, StepModel
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, filled, is_constant, spread_of
 from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.residual import explained
 from asia.judge.scoring.outcome import without_gaps
 from asia.lowering.linear import LinearModel
 from asia.models.methods import LevenbergMarquardt
-from asia.problem.folds import Block, whole
+from asia.problem.folds import whole
 from asia.problem.protocol import ProtocolRule
 
 # Samples of a fold that are analysed, states of a model, and Gauss-Newton steps.
@@ -65,13 +66,13 @@ class Windows:
 
 
 def windows(
-    blocks: Sequence[Block], y_hat: Sequence[Array], length: int, *, first: bool = False
+    blocks: Sequence[Segment], y_hat: Sequence[Array], length: int, *, first: bool = False
 ) -> Windows:
     """Cut blocks into windows of a length, evenly spread, `_MOST_SAMPLES` samples together; first:
     only the first window of each block, which starts as the evaluator's simulation does."""
     cut: list[tuple[Array, ...]] = []
     for block, simulated in zip(blocks, y_hat, strict=True):
-        case, y = block.case, without_gaps(block.y, simulated)
+        case, y = block, without_gaps(block.y, simulated)
         u, all_y = np.concatenate([case.past_u, case.u]), np.concatenate([case.past_y, y])
         nu, ny = len(case.past_u), len(case.past_y)
         early = np.concatenate([np.repeat(u[:1], _DELAYS[-1], 0), u])
@@ -235,7 +236,7 @@ class ErrorParts:
 
 
 def error_parts(
-    model: Model, blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, step: float
+    model: Model, blocks: Sequence[Segment], y_hat: Sequence[Array], scale: Array, step: float
 ) -> ErrorParts:
     """Split the error of simulated blocks (H, ny); step: sampling time, s.
 
@@ -279,7 +280,7 @@ _STEPS = (1, 5, 20)
 
 
 def steps_ahead(
-    model: Model, blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array
+    model: Model, blocks: Sequence[Segment], y_hat: Sequence[Array], scale: Array
 ) -> dict[int, float]:
     """Return the RMS error at some steps after starts from measured past windows, in standard
     deviations of the outputs.
@@ -379,7 +380,7 @@ def _terms(signals: dict[str, Array], inputs: dict[str, Array]) -> dict[str, Arr
 
 def missing_terms(
     models: Sequence[Model],
-    blocks: Sequence[Sequence[Block]],
+    blocks: Sequence[Sequence[Segment]],
     y_hat: Sequence[Sequence[Array]],
     inputs: Sequence[str],
     outputs: Sequence[str],
@@ -452,9 +453,7 @@ def terms_beyond_linear(
     model = linear.build(linear.Config(max_order=4, delay=None), context)
     model = linear.train(model, records, context, LevenbergMarquardt(iterations=15))
     blocks = whole(tuple(records), rule)
-    y_hat = [
-        model.simulate(b.case.past_u[None], b.case.past_y[None], b.case.u[None])[0] for b in blocks
-    ]
+    y_hat = [model.simulate(b.past_u[None], b.past_y[None], b.u[None])[0] for b in blocks]
     names = ([s.name for s in signals] for signals in (context.inputs, context.outputs))
     found = missing_terms([model], [blocks], [y_hat], *names)
     return tuple(sorted((t for t in found if not t.linear), key=lambda t: -t.share))
@@ -478,7 +477,7 @@ class _Responses:
 
 def _responses(
     model: Model,
-    blocks: Sequence[Block],
+    blocks: Sequence[Segment],
     y_hat: Sequence[Array],
     inputs: Sequence[str],
     outputs: Sequence[str],
@@ -602,7 +601,7 @@ def _forced(
 # Modes of the model around the mean of its simulated states.
 
 
-def modes(model: StepModel, block: Block, y_hat: Array, step: float) -> Iterator[str]:
+def modes(model: StepModel, block: Segment, y_hat: Array, step: float) -> Iterator[str]:
     """Describe the modes of the derivative of a step, the slowest first: frequency and damping of
     an oscillation, else the time constant. step: sampling time, s."""
     of = windows([block], [y_hat], min(len(y_hat), _MOST_SAMPLES), first=True)

@@ -14,6 +14,7 @@ import numpy as np
 from asia._heap import LARGE_RECORDS, give_back_large_arrays
 from asia._timer import Activity
 from asia.candidate import Context, check_source, executed_source, library_only
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.findings import fold_result
@@ -49,14 +50,14 @@ from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, combine, score_fold
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
-from asia.problem.folds import Block, Fold, inner_folds, whole
+from asia.problem.folds import Fold, inner_folds, whole
 from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
 Simulator: TypeAlias = Callable[[Array, Array, Array], Array]
 """Past inputs (B, n, nu), past outputs (B, n, ny) and inputs (B, H, nu) -> outputs (M, B, H, ny) of
 M models, not finite where one diverges."""
-_Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]
+_Ask: TypeAlias = Callable[[Worker, Sequence[Segment], Sequence[Array]], Sequence[Suspicion]]
 
 _STRANGERS_ASKED = 4
 # Training samples of a fold.
@@ -89,7 +90,7 @@ class EvaluationData:
             return ()
 
     @cached_property
-    def training_blocks(self) -> tuple[Block, ...]:
+    def training_blocks(self) -> tuple[Segment, ...]:
         """Blocks of the training records that refitted models are compared on."""
         return spread(whole(self.records, self.rule), MOST_TRAINING_WINDOWS)
 
@@ -123,7 +124,7 @@ class StoredModels:
         self._data, self._workers, self._options = data, workers, options
 
     def simulate(
-        self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+        self, source: str, models: Sequence[bytes], blocks: Sequence[Segment]
     ) -> list[tuple[Array, ...]]:
         """Simulate `blocks` with each model. Raises CandidateError."""
         return self._workers.run([partial(self._simulate, source, m, blocks) for m in models])
@@ -142,12 +143,12 @@ class StoredModels:
         return self._workers.run([partial(answers, model) for model in models])
 
     def simulate_together(
-        self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+        self, source: str, models: Sequence[bytes], blocks: Sequence[Segment]
     ) -> list[Array | CandidateError]:
         """Simulate blocks of one length in one request; outputs (blocks, H, ny) of each model, or
         an error where it fails. For cases without measured outputs only."""
         arrays = [
-            np.stack([getattr(block.case, name) for block in blocks])
+            np.stack([getattr(block, name) for block in blocks])
             for name in ("past_u", "past_y", "u")
         ]
 
@@ -188,7 +189,7 @@ class StoredModels:
         return self._workers.run([run])[0]
 
     def simulate_scored(
-        self, models: Sequence[tuple[str, bytes]], blocks: Sequence[Block]
+        self, models: Sequence[tuple[str, bytes]], blocks: Sequence[Segment]
     ) -> list[tuple[Array, ...] | CandidateError]:
         """As `simulate`, for answers that will be scored, of models each with its source: with a
         fresh worker for each of the `sessions`, and with some cases asked again in another one. For
@@ -249,7 +250,7 @@ class StoredModels:
         self,
         source: str,
         model: bytes,
-        blocks: Sequence[Block],
+        blocks: Sequence[Segment],
         y_hat: Sequence[Array],
         ask: _Ask,
         *,
@@ -294,11 +295,11 @@ class StoredModels:
             worker.load(executed_source(source), model, context)
             yield worker
 
-    def _simulate(self, source: str, model: bytes, blocks: Sequence[Block]) -> tuple[Array, ...]:
+    def _simulate(self, source: str, model: bytes, blocks: Sequence[Segment]) -> tuple[Array, ...]:
         return self._simulate_sessions(source, model, blocks, [list(chain(*sessions(blocks)))])
 
     def _simulate_sessions(
-        self, source: str, model: bytes, blocks: Sequence[Block], parts: Sequence[Sequence[int]]
+        self, source: str, model: bytes, blocks: Sequence[Segment], parts: Sequence[Sequence[int]]
     ) -> tuple[Array, ...]:
         found: dict[int, Array] = {}
         for part in parts:
@@ -309,7 +310,7 @@ class StoredModels:
                 )  # fmt: skip
         return tuple(found[i] for i in range(len(blocks)))
 
-    def secret_of(self, blocks: Sequence[Block]) -> bytes | None:
+    def secret_of(self, blocks: Sequence[Segment]) -> bytes | None:
         """As `requests.secret_of`; None where models may look ahead."""
         return None if SuspicionKind.LOOK_AHEAD in self._options.without else secret_of(blocks)
 

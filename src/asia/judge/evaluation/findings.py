@@ -69,7 +69,7 @@ def fold_result(
     y, train_y = [b.y for b in fold.held_out], [b.y for b in inside]
     score = score_fold(y, fitted.y_hat, fold.scale, rule.metric)
     train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
-    inputs = [b.case.u for b in inside]
+    inputs = [b.u for b in inside]
     whole_y = [without_gaps(a, b) for a, b in zip(train_y, fitted.train_y_hat, strict=True)]
     failed: list[str] = []
     evidence = Diagnostics(train.value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -115,7 +115,7 @@ def _held_out_residuals(
 ) -> tuple[SignedResidual, ...]:
     if rule.residuals == "train":
         return ()
-    u = [b.case.u for b in fold.held_out]
+    u = [b.u for b in fold.held_out]
     y = [without_gaps(b.y, one) for b, one in zip(fold.held_out, fitted.y_hat, strict=True)]
     return signed_residuals(u, y, fitted.y_hat, fold.scale, ranges)[:_MOST_RESIDUALS]
 

@@ -11,11 +11,12 @@ from statistics import median_high, median_low
 import numpy as np
 
 from asia.data.relations import LARGEST_GAIN, LEAST_CORRELATION, motion
+from asia.data.segment import Segment
 from asia.data.trajectory import Array
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, score_outputs
 from asia.judge.scoring.outcome import Outcome, Score
-from asia.problem.folds import Block, Fold
+from asia.problem.folds import Fold
 from asia.problem.problem import Problem
 
 Rates = tuple[int | None, ...]
@@ -111,11 +112,11 @@ def find_rates(fold: Fold, horizon: int) -> Rates:
     return tuple(j if fits[i, j] else None for i, j in enumerate(best))
 
 
-def constant_velocity(block: Block, rates: Rates, sampling_time: float) -> Array:
+def constant_velocity(block: Segment, rates: Rates, sampling_time: float) -> Array:
     """(H, ny): outputs with a rate move on at its last measured value (Euler steps of
     `sampling_time`, s); the others at their mean rate over the past window, of which one sample
     holds the output."""
-    past = block.case.past_y
+    past = block.past_y
     slope = (past[-1] - past[0]) / max(len(past) - 1, 1)
     for output, rate in enumerate(rates):
         if rate is not None:
@@ -177,12 +178,12 @@ def score_references(
         yield from control_references(evaluator, known)
         return
     folds, horizon = evaluator.data.folds, evaluator.data.horizon
-    past = len(folds[0].held_out[0].case.past_y)
-    simulations: dict[str, Callable[[Fold, Block], Array]] = {
+    past = len(folds[0].held_out[0].past_y)
+    simulations: dict[str, Callable[[Fold, Segment], Array]] = {
         MEAN_REFERENCE: training_mean,
         # The training mean where the protocol gives no past output.
         "last output held": (
-            (lambda _, block: np.tile(block.case.past_y[-1], (len(block.y), 1)))
+            (lambda _, block: np.tile(block.past_y[-1], (len(block.y), 1)))
             if past
             else training_mean
         ),
@@ -195,7 +196,7 @@ def score_references(
                 block, rates[fold.index], fold.train[0].sampling_time
             )
 
-    def score(simulate: Callable[[Fold, Block], Array]) -> Outcome:
+    def score(simulate: Callable[[Fold, Segment], Array]) -> Outcome:
         outputs = [[simulate(fold, block) for block in fold.held_out] for fold in folds]
         return score_outputs(folds, outputs, metric)
 
@@ -278,7 +279,7 @@ def best_linear(evaluator: Evaluator) -> Reference:
     return Reference(LINEAR_REFERENCE, best.outcome, best.failed_checks, other)
 
 
-def training_mean(fold: Fold, block: Block) -> Array:
+def training_mean(fold: Fold, block: Segment) -> Array:
     """Mean (H, ny) of the measured outputs of a fold's training records, for each sample of a
     block."""
     y = np.concatenate([t.measured_y for t in fold.train])

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, filled
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.requests import (
@@ -21,7 +22,6 @@ from asia.judge.evaluation.requests import (
 )
 from asia.judge.sandbox.worker.prefixes import SHORT, chunk_ends
 from asia.judge.scoring.outcome import Failure
-from asia.problem.folds import Block
 
 TINY, COARSE = 1e-6, 1e-2
 STARTS = 4
@@ -267,7 +267,7 @@ _MORE_OFTEN = 3.5
 
 def suspicions(
     simulator: CaseSimulator,
-    blocks: Sequence[Block],
+    blocks: Sequence[Segment],
     y_hat: Sequence[Array],
     scale: Array,
     horizon: int | None,
@@ -335,7 +335,7 @@ def suspicions(
 
 def strangers(
     simulator: CaseSimulator,
-    blocks: Sequence[Block],
+    blocks: Sequence[Segment],
     y_hat: Sequence[Array],
     secret: bytes | None,
     scale: Array,
@@ -360,7 +360,7 @@ def strangers(
 
 
 def look_ahead(
-    checks: Sequence[CaseCheck], blocks: Sequence[Block], y_hat: Sequence[Array], secret: bytes
+    checks: Sequence[CaseCheck], blocks: Sequence[Segment], y_hat: Sequence[Array], secret: bytes
 ) -> Suspicion | None:
     """Test whether a model answered by prefixes gains by the inputs that a chunk has sent ahead.
 
@@ -376,7 +376,7 @@ def look_ahead(
     excess: list[float] = []
     free: list[float] = []
     for block, simulated in zip(blocks, y_hat, strict=True):
-        case = block.case
+        case = block
         if len(case.u) <= SHORT:
             continue
         errors = np.nanmean(((simulated - filled(block.y)) / scale) ** 2, axis=1)

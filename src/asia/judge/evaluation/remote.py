@@ -101,7 +101,7 @@ def fit_fold(
             if first < _SLOW_SECONDS:
                 simulate_training(worker.simulate_known, inside, data.rule.horizon)
                 simulating = worker.spent[Activity.SIMULATE][1] - first
-            blocks, (first, *others) = data.blocks, data.sessions
+            blocks, (first, *others) = data.held_out, data.sessions
             together = side_by_side(work.source, data.rule)
             found = simulate_each(worker, blocks, first, data.secret, together=together)
         for session in others:
@@ -110,7 +110,7 @@ def fit_fold(
                 found |= simulate_each(fresh, blocks, session, data.secret, together=together)
     except CandidateError as error:
         return FoldAnswer(error, printed)
-    y_hat = tuple(found[i] for i in range(len(data.cases)))
+    y_hat = tuple(found[i] for i in range(len(data.held_out)))
     fitted = Fitted(
         reply, model, parameters, y_hat, train_y_hat, memory, compiling, numbers, simulating
     )  # fmt: skip

@@ -11,9 +11,9 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from asia.candidate import library_only
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, filled
 from asia.judge.scoring.outcome import check_reply
-from asia.problem.folds import Block
 from asia.problem.protocol import ProtocolRule
 
 MOST_TRAINING_WINDOWS = 256
@@ -40,7 +40,7 @@ class CaseSimulator(Protocol):
         ...
 
 
-def sessions(blocks: Sequence[Block]) -> list[list[int]]:
+def sessions(blocks: Sequence[Segment]) -> list[list[int]]:
     """The blocks of each worker, as indices into `blocks`, in the order in which it is asked.
 
     A worker simulates the blocks of one record, one after the other in time order, so that it has
@@ -63,7 +63,7 @@ def sessions(blocks: Sequence[Block]) -> list[list[int]]:
     return [list(chain.from_iterable(found[k::MOST_SESSIONS])) for k in range(MOST_SESSIONS)]
 
 
-def secret_of(blocks: Sequence[Block]) -> bytes:
+def secret_of(blocks: Sequence[Segment]) -> bytes:
     """A digest of the held-out outputs, which no worker has."""
     return hashlib.sha256(b"".join(block.y.tobytes() for block in blocks)).digest()
 
@@ -76,7 +76,7 @@ def side_by_side(source: str, rule: ProtocolRule) -> bool:
 
 def simulate_each(
     worker: CaseSimulator,
-    blocks: Sequence[Block],
+    blocks: Sequence[Segment],
     order: Iterable[int],
     secret: bytes | None,
     *,
@@ -97,12 +97,12 @@ def simulate_each(
     """
     groups: dict[object, list[int]] = {}
     for i in order:
-        case = blocks[i].case
+        case = blocks[i]
         size = len(case.past_u), len(case.past_y), len(case.u)
         groups.setdefault(size if together else i, []).append(i)
     found: dict[int, Array] = {}
     for group in groups.values():
-        cases = [blocks[i].case for i in group]
+        cases = [blocks[i] for i in group]
         arrays = (
             _stacked([case.past_u for case in cases]),
             _stacked([case.past_y for case in cases]),
@@ -118,7 +118,7 @@ def simulate_each(
     return found
 
 
-def simulate_held_out(worker: CaseSimulator, blocks: Sequence[Block]) -> tuple[Array, ...]:
+def simulate_held_out(worker: CaseSimulator, blocks: Sequence[Segment]) -> tuple[Array, ...]:
     """Simulate held-out blocks in one worker, record by record in time order; outputs (H, ny) in
     the order of `blocks`. Raises CandidateError."""
     found = simulate_each(worker, blocks, chain(*sessions(blocks)), secret_of(blocks))
@@ -126,7 +126,7 @@ def simulate_held_out(worker: CaseSimulator, blocks: Sequence[Block]) -> tuple[A
 
 
 def simulate_training(
-    simulate: Callable[[Array, Array, Array], Array], blocks: Sequence[Block], horizon: int | None
+    simulate: Callable[[Array, Array, Array], Array], blocks: Sequence[Segment], horizon: int | None
 ) -> tuple[Array, ...]:
     """Simulate blocks whose outputs the candidate was given, many windows a request.
 
@@ -136,7 +136,7 @@ def simulate_training(
     count = len(blocks) if horizon is None else -(-len(blocks) // MOST_TRAINING_WINDOWS)
     found: list[Array] = []
     for part in np.array_split(np.arange(len(blocks)), max(count, 1)):
-        cases = [blocks[i].case for i in part.tolist()]
+        cases = [blocks[i] for i in part.tolist()]
         # Requests of one size, so that a model compiles once.
         cases += cases[:1] * (-(-len(blocks) // max(count, 1)) - len(cases))
         y_hat = simulate(
@@ -244,7 +244,7 @@ def _past(before: Array, values: Array, start: int) -> Array:
 
 
 def scored_cases(
-    blocks: Sequence[Block],
+    blocks: Sequence[Segment],
     y_hat: Sequence[Array],
     most: int,
     random: np.random.Generator,
@@ -259,9 +259,9 @@ def scored_cases(
     places = np.sort(random.choice(len(blocks), min(len(blocks), most), replace=False)).tolist()
     return tuple(
         ScoredCase(
-            past_u=blocks[i].case.past_u[None],
-            past_y=blocks[i].case.past_y[None],
-            u=blocks[i].case.u[None],
+            past_u=blocks[i].past_u[None],
+            past_y=blocks[i].past_y[None],
+            u=blocks[i].u[None],
             y=filled(blocks[i].y)[None],
             y_hat=y_hat[i][None],
             followed=i in followed,

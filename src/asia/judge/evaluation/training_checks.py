@@ -4,22 +4,18 @@ They run at every evaluation, so they use few samples and the worst outputs only
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asia.candidate import Context
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, filled
 from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.residual import residual_checks
 from asia.judge.scoring.checks.response import check_frequency_response, check_gain
-from asia.judge.scoring.checks.validation_data import (
-    SimulatedBlock,
-    SimulatedBlocks,
-    without_responses,
-)
-from asia.problem.folds import Block
+from asia.judge.scoring.checks.validation_data import SimulatedSegments, without_responses
 
 _MOST_SAMPLES, _MOST_OUTPUTS, _MOST_INPUTS = 2000, 2, 4
 _FEWEST_SAMPLES = 200
@@ -38,7 +34,7 @@ class TrainingCheck:
 
 
 def training_checks(
-    blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, context: Context
+    blocks: Sequence[Segment], y_hat: Sequence[Array], scale: Array, context: Context
 ) -> tuple[TrainingCheck, ...]:
     """Run the checks and return those that do not pass, the most important first.
 
@@ -58,10 +54,9 @@ def training_checks(
     worst = np.argsort(-np.mean(errors**2, axis=0), kind="stable")[:_MOST_OUTPUTS]
     outputs = sorted(worst.tolist())
     inputs = list(range(min(_MOST_INPUTS, len(context.inputs))))
-    found = SimulatedBlocks(
+    found = SimulatedSegments(
         tuple(
-            SimulatedBlock(b.case.u[: len(y), inputs], b.y[: len(y), outputs], y[:, outputs],
-                           b.record, b.start)
+            replace(b, u=b.u[: len(y), inputs], y=b.y[: len(y), outputs]).simulated(y[:, outputs])
             for b, y in chosen
         ),
         tuple(context.inputs[k].name for k in inputs),

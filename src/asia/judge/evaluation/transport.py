@@ -16,12 +16,13 @@ import numpy as np
 
 from asia._timer import Activity, Seconds
 from asia.candidate import Context
+from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
 from asia.judge.evaluation.requests import secret_of, sessions
 from asia.judge.sandbox.types import FitReply, Isolation, Limits, WorkerKilledError
-from asia.problem.folds import Block, Case, Fold
+from asia.problem.folds import Fold
 from asia.problem.protocol import ProtocolRule
 
 _HEAD_BYTES = 8
@@ -38,20 +39,13 @@ class FoldData:
     """
 
     train: tuple[Trajectory, ...]
-    cases: tuple[Case, ...]
-    shapes: tuple[tuple[int, int], ...]
-    """(H, ny) of each case."""
+    held_out: tuple[Segment, ...]
+    """The segments without their outputs."""
     sessions: tuple[tuple[int, ...], ...]
     """Cases of each worker, in order: see `requests.sessions`."""
     secret: bytes | None
     """A digest of the held-out outputs, see `requests.simulate_each`."""
     rule: ProtocolRule
-
-    @property
-    def blocks(self) -> list[Block]:
-        """The cases as blocks whose outputs are not there."""
-        pairs = zip(self.cases, self.shapes, strict=True)
-        return [Block(c, np.broadcast_to(np.float64(np.nan), s), 0, 0) for c, s in pairs]
 
 
 @dataclass(frozen=True)
@@ -94,8 +88,7 @@ def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
     blocks = fold.held_out
     return FoldData(
         train=fold.train,
-        cases=tuple(block.case for block in blocks),
-        shapes=tuple((block.y.shape[0], block.y.shape[1]) for block in blocks),
+        held_out=tuple(block.unmeasured for block in blocks),
         sessions=tuple(map(tuple, sessions(blocks))),
         secret=secret_of(blocks),
         rule=rule,
@@ -213,7 +206,8 @@ def _answer(
     if "reason" in head:
         result = CandidateError(Reason(head["reason"]), str(head["detail"]))
     else:
-        shapes = [*data.shapes, *train]
+        held_out = [one.y.shape for one in data.held_out]
+        shapes = [*held_out, *train]
         if head["train"] != len(train) or len(blobs) != 2 + len(shapes):
             raise ValueError("another number of simulations")
         y_hat = [_floats(raw, shape) for raw, shape in zip(blobs[2:], shapes, strict=True)]
@@ -223,8 +217,8 @@ def _answer(
             reply=FitReply(curve, str(head["output"]), float(head["seconds"])),
             model=bytes(blobs[0]),
             parameters=tuple((str(name), float(value)) for name, value in head["parameters"]),
-            y_hat=tuple(y_hat[: len(data.shapes)]),
-            train_y_hat=tuple(y_hat[len(data.shapes) :]),
+            y_hat=tuple(y_hat[: len(held_out)]),
+            train_y_hat=tuple(y_hat[len(held_out) :]),
             memory_mb=None if memory is None else float(memory),
             compile_seconds=float(head["compile_seconds"]),
             numbers=None if head["numbers"] is None else int(head["numbers"]),

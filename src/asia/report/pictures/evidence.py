@@ -171,7 +171,7 @@ def draw_residuals(
     size = max(picture_width(), 2.9 * columns), 0.8 + 1.9 * len(chosen)
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(chosen), columns, squeeze=False, sharex="col")
-    u = [[b.case.u[:, i] for b in blocks] for i in range(len(inputs))]
+    u = [[b.u[:, i] for b in blocks] for i in range(len(inputs))]
     for axes, output in zip(grid, chosen, strict=True):
         e = [r[:, output] for r in residual]
         draw_correlations(list(axes), e, u, inputs, last=output == chosen[-1])

@@ -264,7 +264,7 @@ def _fold_segments(
     """The first records, or the windows with the least, the middle and the largest error over all
     outputs."""
     blocks = fold.held_out
-    chosen = [(block.case.name, k) for k, block in enumerate(blocks[:_MOST_SEGMENTS])]
+    chosen = [(block.name, k) for k, block in enumerate(blocks[:_MOST_SEGMENTS])]
     if problem.protocol.kind == "windows":
         chosen = []
         for word, k in representative_windows([block.y for block in blocks], outputs, fold.scale):

@@ -112,7 +112,7 @@ def test_folds_of_your_own(tools: WorkspaceTools) -> None:
     assert [len(fold.train) for fold in tools.blocks(3)] == [2, 4, 2]
     (fold,) = tools.hold_out(["a_b"])
     assert [t.name for t in fold.train] == ["train"]
-    assert {block.case.name for block in fold.held_out} == {"a_b"}
+    assert {block.name for block in fold.held_out} == {"a_b"}
     with pytest.raises(UserError, match="no record 'a b'; did you mean 'a_b'"):
         tools.hold_out(["a b"])
     with pytest.raises(UserError, match="leave one or more to train on"):

@@ -9,11 +9,12 @@ import numpy as np
 
 from asia.candidate import StepModel, simulate_steps
 from asia.data import Array, Trajectory
+from asia.data.segment import Segment
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.relations import Suspicion, suspicions
 from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.worker.prefixes import by_prefixes
-from asia.problem.folds import Block, Fold, make_folds
+from asia.problem.folds import Fold, make_folds
 from asia.problem.protocol import ProtocolRule
 
 Answer = Callable[[Array, Array, Array], Array]
@@ -96,7 +97,7 @@ def found(answer: Answer, horizon: int | None = None, records: int = 3) -> tuple
 
 
 def suspicions_of(
-    model: Model | Stepping, blocks: Sequence[Block], scale: Array, horizon: int | None
+    model: Model | Stepping, blocks: Sequence[Segment], scale: Array, horizon: int | None
 ) -> tuple[Suspicion, ...]:
     y_hat = simulate_held_out(model, blocks)
     followed = range(len(blocks)) if horizon is None else ()

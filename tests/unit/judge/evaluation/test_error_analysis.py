@@ -8,6 +8,7 @@ import pytest
 
 from asia.candidate import Context, simulate_steps
 from asia.data import Signal, Trajectory
+from asia.data.segment import Segment
 from asia.judge.evaluation.error_analysis import (
     error_parts,
     missing_terms,
@@ -15,7 +16,6 @@ from asia.judge.evaluation.error_analysis import (
     steps_ahead,
     terms_beyond_linear,
 )
-from asia.problem.folds import Block, Case
 from asia.problem.protocol import ProtocolRule
 
 STEP = 0.1
@@ -66,7 +66,7 @@ def records(system: Oscillator, model: Oscillator, bend: float = 0.0) -> tuple[A
         simulate_steps(m, past[0][None], past[1][None], u[None])[0] for m in (system, model)
     )
     y = y + bend * y**3 + 0.005 * rng.normal(size=y.shape)
-    return Block(Case("record", *past, u), y, 0, 1), y_hat
+    return Segment(*past, u, y, "record", start=1), y_hat
 
 
 def first(system: Oscillator, bend: float = 0.0, model: Any = None) -> tuple[str, str] | None:
@@ -168,10 +168,9 @@ class HeldBack:
 def test_a_state_that_holds_back_an_input_has_its_name() -> None:
     rng = np.random.default_rng(5)
     u = rng.normal(size=(SAMPLES + 2, 1))
-    case = Case("r", u[:2], np.zeros((2, 1)), u[2:])
     bent = HeldBack().simulate(*((v + 0.3 * v**3)[None] for v in (u[:2], np.zeros((2, 1)), u[2:])))
     noise = 0.01 * rng.normal(size=(SAMPLES, 1))
-    block = Block(case, bent[0] + noise, 0, 2)
+    block = Segment(u[:2], np.zeros((2, 1)), u[2:], bent[0] + noise, "r", start=2)
     y_hat = HeldBack().simulate(*(v[None] for v in (u[:2], np.zeros((2, 1)), u[2:])))[0]
     found = missing_terms([HeldBack()], [[block]], [[y_hat]], ["u"], ["y"])
     names = {term.term: term.where for term in found}

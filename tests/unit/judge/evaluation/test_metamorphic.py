@@ -22,13 +22,13 @@ def kinds(answer: Answer, horizon: int | None = None, records: int = 3) -> set[s
 def answers(horizon: int | None) -> tuple[Array, Array]:
     """Inputs and outputs of every held-out case, as one who has seen all records knows them."""
     blocks = fold(horizon).held_out
-    return np.stack([b.case.u for b in blocks]), np.stack([b.y for b in blocks])
+    return np.stack([b.u for b in blocks]), np.stack([b.y for b in blocks])
 
 
 def looked_up(horizon: int | None, digits: int, otherwise: Answer = honest) -> Answer:
     """Outputs of the case that begins as this one."""
     u_known, y_known = answers(horizon)
-    pasts = [block.case.past_y for block in fold(horizon).held_out]
+    pasts = [block.past_y for block in fold(horizon).held_out]
 
     def key(past_y: Array, u: Array) -> bytes:
         return (np.round(np.concatenate([past_y[:, 0], u[0]]), digits) + 0.0).tobytes()
@@ -142,7 +142,7 @@ def test_answers_that_change_when_asked_again_are_found_out():
 def test_inputs_of_the_future_are_found_out(horizon: int | None):
     """An output is known as soon as the next input is."""
     held = fold(horizon, hold=1)
-    u_known = np.stack([block.case.u for block in held.held_out])
+    u_known = np.stack([block.u for block in held.held_out])
     y_known = np.stack([block.y for block in held.held_out])
 
     def ahead(past_u: Array, past_y: Array, u: Array) -> Array:
@@ -172,7 +172,7 @@ def test_what_a_chunk_sends_ahead_is_not_used_by_an_adaptive_solver():
 
 def test_a_simulation_drawn_to_data_after_the_block_is_detected():
     held = fold()
-    after = {round(float(b.case.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.held_out}
+    after = {round(float(b.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.held_out}
     length = len(held.held_out[0].y)
 
     def drawn(past_u: Array, past_y: Array, u: Array) -> Array:
@@ -282,7 +282,7 @@ def test_the_same_checks_twice_say_the_same():
 def test_the_checked_windows_are_unpredictable():
     held_out = fold(10)
     count = len(held_out.held_out)
-    u = [held_out.held_out[k].case.u for k in (0, count // 2, count - 1)]
+    u = [held_out.held_out[k].u for k in (0, count // 2, count - 1)]
     known = looked_up(10, 12)
 
     def answer(past_u: Array, past_y: Array, given: Array) -> Array:
@@ -298,7 +298,7 @@ def test_the_checked_windows_are_unpredictable():
 def test_a_model_that_does_not_answer_fails():
     model = Model(honest)
     held_out = fold()
-    y_hat = [model.simulate(*(a[None] for a in (b.case.past_u, b.case.past_y, b.case.u)))[0]
+    y_hat = [model.simulate(*(a[None] for a in (b.past_u, b.past_y, b.u)))[0]
              for b in held_out.held_out]  # fmt: skip
 
     def crash(past_u: Array, past_y: Array, u: Array) -> Array:

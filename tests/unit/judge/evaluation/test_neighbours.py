@@ -8,6 +8,7 @@ import pytest
 
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
+from asia.data.segment import Segment
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
@@ -19,7 +20,7 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, score_fold
 from asia.problem import Budget
-from asia.problem.folds import Block, make_folds
+from asia.problem.folds import make_folds
 from asia.problem.protocol import ProtocolRule
 
 HORIZON = 20
@@ -119,8 +120,8 @@ def all_at_once(source: str) -> float:
     return float(np.mean(scores))
 
 
-def stacked(blocks: tuple[Block, ...], what: str) -> Array:
-    return np.stack([getattr(block.case, what) for block in blocks])
+def stacked(blocks: tuple[Segment, ...], what: str) -> Array:
+    return np.stack([getattr(block, what) for block in blocks])
 
 
 def test_the_cheat_would_pay_if_windows_went_together() -> None:

@@ -174,7 +174,7 @@ def test_the_worker_that_trains_gets_a_number_and_no_case(
             assert not any(
                 part.tobytes() in body
                 for block in fold.held_out
-                for part in (block.y[:4], block.y[-4:], block.case.u[:4], block.case.u[-4:])
+                for part in (block.y[:4], block.y[-4:], block.u[:4], block.u[-4:])
             )
     targets = [b.y[-8:].tobytes() for f in judge.data.folds for b in f.held_out]
     for requests in oracles:

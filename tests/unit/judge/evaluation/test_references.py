@@ -81,7 +81,7 @@ def test_a_rate_is_found_among_the_outputs_and_used() -> None:
     assert find_rates(fold, 10) == (1, None, None)
     block = fold.held_out[0]
     y_hat = constant_velocity(block, (1, None, None), 0.1)
-    position, velocity, third = block.case.past_y[-1]
+    position, velocity, third = block.past_y[-1]
     assert y_hat[:, 0] == pytest.approx(position + 0.1 * velocity * np.arange(1, 11))
     assert np.array_equal(y_hat[:, 1:], np.tile([velocity, third], (10, 1)))
     found = references(windows(1))
@@ -91,7 +91,7 @@ def test_a_rate_is_found_among_the_outputs_and_used() -> None:
 
 def test_two_past_outputs_tell_a_velocity() -> None:
     block = make_folds(carts(), windows(3))[0].held_out[0]
-    past = block.case.past_y
+    past = block.past_y
     y_hat = constant_velocity(block, (None, None, None), 0.1)
     assert y_hat[0] == pytest.approx(past[-1] + (past[2] - past[0]) / 2)
     assert y_hat[9] == pytest.approx(past[-1] + 10 * (past[2] - past[0]) / 2)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.data import Array, Trajectory
+from asia.data.segment import Segment
 from asia.judge.evaluation.requests import (
     MOST_SESSIONS,
     MOST_TRAINING_WINDOWS,
@@ -19,7 +20,7 @@ from asia.judge.evaluation.requests import (
     simulate_held_out,
     simulate_training,
 )
-from asia.problem.folds import Block, whole
+from asia.problem.folds import whole
 from asia.problem.protocol import ProtocolRule
 
 RULE = ProtocolRule(kind="windows", horizon=4, past_inputs=0, past_outputs=1)
@@ -43,13 +44,13 @@ class Recorder:
         return past_y[:, -1:] + np.cumsum(u, axis=1)
 
 
-def blocks(lengths: Sequence[int], rule: ProtocolRule = RULE) -> tuple[Block, ...]:
+def blocks(lengths: Sequence[int], rule: ProtocolRule = RULE) -> tuple[Segment, ...]:
     """Record r holds 1000 r, 1000 r + 1, ..., so that a past window names record and time."""
     values = [1000.0 * r + np.arange(n) for r, n in enumerate(lengths)]
     return whole([Trajectory(np.ones(len(v)), v, 1.0, str(v[0])) for v in values], rule)
 
 
-def check(found: Sequence[Block], y_hat: Sequence[Array]) -> None:
+def check(found: Sequence[Segment], y_hat: Sequence[Array]) -> None:
     for block, simulated in zip(found, y_hat, strict=True):
         assert np.array_equal(simulated, block.y)
 

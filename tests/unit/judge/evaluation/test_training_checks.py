@@ -7,9 +7,9 @@ import pytest
 
 from asia.candidate import Context
 from asia.data import Signal
+from asia.data.segment import Segment
 from asia.judge.evaluation.training_checks import training_checks
 from asia.judge.scoring.checks.check import Verdict
-from asia.problem.folds import Block, Case
 
 CONTEXT = Context((Signal("valve"),), (Signal("level"), Signal("flow")), 0.5, 0, 0)
 
@@ -21,7 +21,7 @@ def simulated(samples: int, late: int, windows: int = 1):  # type: ignore[no-unt
         u = random.standard_normal((samples, 1))
         y = np.column_stack([np.roll(u[:, 0], late), u[:, 0]])
         y += 0.01 * random.standard_normal(y.shape)
-        blocks.append(Block(Case("", u[:0], y[:0], u), y, 0, k * samples))
+        blocks.append(Segment(u[:0], y[:0], u, y, start=k * samples))
         y_hat.append(np.column_stack([u[:, 0], u[:, 0]]))
     return blocks, y_hat
 

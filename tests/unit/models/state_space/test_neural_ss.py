@@ -28,11 +28,11 @@ from asia.models.methods import Adam
 from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
 from asia.search.run import search_context
-from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two, wiener
+from tests.unit.models.systems.black_box import Segment, case, filtered, late, two_by_two, wiener
 
 
 def fitted(
-    config: neural_ss.Config, data: Case, method: LevenbergMarquardt | Adam
+    config: neural_ss.Config, data: Segment, method: LevenbergMarquardt | Adam
 ) -> neural_ss.NeuralStateSpace:
     model = neural_ss.build(config, data.context)
     return neural_ss.train(model, data.training, data.context, method)
@@ -141,7 +141,7 @@ def test_no_model_is_kept_that_is_lost_from_the_states_of_past_windows() -> None
     model = neural_ss.build(neural_ss.Config(delay=None, past_fit=True), context)
     model = neural_ss.train(model, fold.train, context, LevenbergMarquardt(60, starts=2))
     for block in whole(fold.train, problem.protocol):
-        case = block.case
+        case = block
         y = model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
         assert (np.sqrt(((y - block.y) ** 2).mean(axis=0)) < 0.5 * block.y.std(axis=0)).all()
 

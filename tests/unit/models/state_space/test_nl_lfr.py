@@ -182,7 +182,7 @@ def test_the_fit_that_is_kept_simulates_from_past_windows() -> None:
     model = nl_lfr.build(nl_lfr.Config(), context)
     model = nl_lfr.train(model, fold.train, context, LevenbergMarquardt(60, starts=2))
     for block in whole(fold.train, problem.protocol):
-        past = block.case
+        past = block
         y = model.simulate(past.past_u[None], past.past_y[None], past.u[None])[0]
         assert np.sqrt(((y - block.y) ** 2).mean()) < 0.2 * block.y.std()
 

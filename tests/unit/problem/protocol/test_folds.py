@@ -24,7 +24,7 @@ def test_cascaded_tanks_folds_are_those_of_the_paper() -> None:
     assert (second.held_out[0].start + 1, second.held_out[0].stop) == (516, 1024)
     assert first.train[0].u[0, 0] + 1 == 516
     assert (second.train[0].u[0, 0] + 1, len(second.train[0])) == (6, 510)
-    assert np.array_equal(second.held_out[0].case.past_u[:, 0] + 1, [511, 512, 513, 514, 515])
+    assert np.array_equal(second.held_out[0].past_u[:, 0] + 1, [511, 512, 513, 514, 515])
 
 
 @given(
@@ -85,7 +85,7 @@ def test_laws_of_contiguous_folds(lengths: list[int], count: int, past: int) -> 
             seen[block.record] |= held
             measured = records[block.record]
             assert np.array_equal(block.y, measured.y[block.start : block.stop])
-            assert np.array_equal(block.case.u, measured.u[block.start : block.stop])
+            assert np.array_equal(block.u, measured.u[block.start : block.stop])
             trained = [t for t in fold.train if t.name == measured.name]
             for part in trained:
                 assert not held & {int(v) for v in part.u[:, 0]}
@@ -98,8 +98,8 @@ def test_blocks_of_whole_records_start_after_the_past_window() -> None:
     rule = ProtocolRule(past_inputs=2, past_outputs=3)
     block = whole([record(10)], rule)[0]
     assert block.start == 3
-    assert np.array_equal(block.case.past_u[:, 0], [1, 2])
-    assert np.array_equal(block.case.past_y[:, 0], [0, 1, 2])
+    assert np.array_equal(block.past_u[:, 0], [1, 2])
+    assert np.array_equal(block.past_y[:, 0], [0, 1, 2])
 
 
 def test_a_constant_output_is_refused() -> None:
@@ -141,7 +141,7 @@ def test_folds_share_the_records_memory() -> None:
     rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=4, past_outputs=4)
     whole_record = record(90)
     for fold in make_folds([whole_record], rule):
-        for part in (*fold.train, fold.held_out[0].case):
+        for part in (*fold.train, fold.held_out[0]):
             assert np.shares_memory(part.u, whole_record.u)
 
 
@@ -165,7 +165,7 @@ def test_inner_folds_divide_the_training_records_of_each_fold(
     assert [one.index for one in found] == list(range(count, count + len(found)))
     for one in found:
         trained = {*np.concatenate([t.u[:, 0] for t in one.train])}
-        held = {*np.concatenate([b.case.u[:, 0] for b in one.held_out])}
+        held = {*np.concatenate([b.u[:, 0] for b in one.held_out])}
         assert not trained & held
         # They come from one fold, and not from what that holds out.
         own = [{*np.concatenate([t.u[:, 0] for t in fold.train])} for fold in folds]

@@ -48,10 +48,10 @@ def test_laws_of_windows(length: int, horizon: int, past_inputs: int, past_outpu
     for block in found:
         assert block.y.shape == (horizon, 2)
         assert np.array_equal(block.y[:, 0], np.arange(block.start, block.stop))
-        assert np.array_equal(block.case.u[:, 0], block.y[:, 0])
+        assert np.array_equal(block.u[:, 0], block.y[:, 0])
         before = np.arange(block.start - past_outputs, block.start)
-        assert np.array_equal(block.case.past_y[:, 0], before)
-        assert block.case.past_u.shape == (past_inputs, 1)
+        assert np.array_equal(block.past_y[:, 0], before)
+        assert block.past_u.shape == (past_inputs, 1)
 
 
 def test_runs_of_the_nanodrone_give_the_windows_of_the_paper() -> None:

@@ -100,7 +100,7 @@ def test_cases_stay_inside_the_training_ranges(seed: int, inputs: int, horizon: 
     cases = stress_cases(records, rule, seed)
     every = np.concatenate([record.u for record in records])
     for block in cases:
-        case = block.case
+        case = block
         assert len(case.u) == (82 if horizon is None else HORIZONS * horizon)
         assert case.past_u.shape == (3, inputs)
         assert case.past_y.shape == (2, 1)

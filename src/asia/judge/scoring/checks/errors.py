@@ -9,7 +9,7 @@ from asia.data.trajectory import Array
 from asia.judge.scoring.bands import Region, independent_errors
 from asia.judge.scoring.checks.check import ALARM_RATE, Cause, Check, CheckCurve, Verdict
 from asia.judge.scoring.checks.validation_data import (
-    SimulatedBlocks,
+    SimulatedSegments,
     ValidationData,
     listed,
     percent,
@@ -77,7 +77,7 @@ _MEMORIES = (4.0, 16.0)
 def check_overfit(
     train: Sequence[float],
     held_out: Sequence[float],
-    simulations: SimulatedBlocks,
+    simulations: SimulatedSegments,
     apart: Sequence[str] = (),
     parameters: int | None = None,
 ) -> Check:
@@ -118,14 +118,14 @@ def check_overfit(
                  1.0 - 1.0 / ratio, curves, axes)  # fmt: skip
 
 
-def _independent(found: SimulatedBlocks) -> float:
+def _independent(found: SimulatedSegments) -> float:
     """Number of independent held-out errors, mean over the outputs."""
     each = [independent_errors([found.residuals(k)]) for k in range(len(found.outputs))]
     return max(sum(each) / len(each), 1.0)
 
 
 def _cause(
-    found: SimulatedBlocks,
+    found: SimulatedSegments,
     apart: Sequence[str],
     ratio: float,
     counts: tuple[float, float],
@@ -169,7 +169,7 @@ def _cause(
     )
 
 
-def _corrected(found: SimulatedBlocks) -> float | None:
+def _corrected(found: SimulatedSegments) -> float | None:
     """Return the share of the held-out residual that few regressors explain in the other half of
     the same block.
 
@@ -243,7 +243,7 @@ def no_bands(reason: str) -> Check:
 _REGION_DOUBT, _REGION_FAIL = 0.1, 0.5
 
 
-def check_region(found: SimulatedBlocks, region: Region) -> Check:
+def check_region(found: SimulatedSegments, region: Region) -> Check:
     """The share of samples outside the region of validity; the edge is at 1."""
     distances = [region.distance(b.u[:0], b.u, b.y_hat) for b in found.blocks]
     every = np.concatenate(distances)

@@ -9,7 +9,7 @@ import numpy as np
 from asia.data.trajectory import Array
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
 from asia.judge.scoring.checks.validation_data import (
-    SimulatedBlocks,
+    SimulatedSegments,
     ValidationData,
     listed,
     percent,
@@ -223,7 +223,7 @@ class Groups:
     """Slow functions of the time in the record."""
 
 
-def groups(found: SimulatedBlocks, output: int) -> Groups:
+def groups(found: SimulatedSegments, output: int) -> Groups:
     """The columns for the residual of one output."""
     blocks = found.blocks
     most = max(2, found.shortest // 6)
@@ -351,7 +351,7 @@ def residual_checks(data: ValidationData) -> tuple[Check, ...]:
     )
 
 
-def check_fit(found: SimulatedBlocks) -> Check:
+def check_fit(found: SimulatedSegments) -> Check:
     """Fit index and RMSE of the free run of each output."""
     y, y_hat = pooled([b.y for b in found.blocks]), pooled([b.y_hat for b in found.blocks])
     fits, rmse = fit_index(y, y_hat), find_metric("rmse").values(y, y_hat)
@@ -370,7 +370,7 @@ def check_fit(found: SimulatedBlocks) -> Check:
     return Check("fit in free run", Verdict.PASS, sentence)
 
 
-def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
+def check_inputs(found: SimulatedSegments, columns: Sequence[Groups]) -> Check:
     """Test the independence of residual and inputs, by the share that past inputs explain.
 
     The cross-correlations name the lags, with bands that hold for all of them together.
@@ -402,7 +402,7 @@ def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     )  # fmt: skip
 
 
-def check_whiteness(found: SimulatedBlocks) -> Check:
+def check_whiteness(found: SimulatedSegments) -> Check:
     """Show the autocorrelation of each residual; it is not judged, because a simulation residual
     need not be white."""
     curves: list[CheckCurve] = []
@@ -418,7 +418,7 @@ def check_whiteness(found: SimulatedBlocks) -> Check:
                  axes=("lag [samples]", "correlation [-]"))  # fmt: skip
 
 
-def check_time(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
+def check_time(found: SimulatedSegments, columns: Sequence[Groups]) -> Check:
     """Test for a drift: the share that a slow function of time explains."""
     worst = _worst(found, columns, lambda g: g.time, _linear)
     t = np.concatenate([b.start + np.arange(len(b.y)) for b in found.blocks]) * found.sampling_time
@@ -428,7 +428,7 @@ def check_time(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     return _judged("time", found, worst, words, words, Cause.DRIFT, worst.alone, curves, axes)
 
 
-def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
+def check_amplitude(found: SimulatedSegments, columns: Sequence[Groups]) -> Check:
     """Test for a missing static nonlinearity: the share that piecewise linear functions of the
     simulated output and of the inputs explain beyond linear dynamics."""
     worst = _worst(found, columns, lambda g: g.bends, _linear)
@@ -439,7 +439,7 @@ def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     return _judged("amplitude", found, worst, words, words, Cause.STATIC, worst.alone, curves, axes)
 
 
-def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
+def check_motion(found: SimulatedSegments, columns: Sequence[Groups]) -> Check:
     """Test for friction, play or hysteresis: the share that the signs of the output and of its rate
     explain beyond linear dynamics. Where smooth functions of the rate, which any nonlinear process
     has, explain most of it as well, only what signs explain beyond these counts."""
@@ -461,7 +461,7 @@ def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
 
 def _judged(
     name: str,
-    found: SimulatedBlocks,
+    found: SimulatedSegments,
     worst: _Found,
     passing: str,
     flagged: str,
@@ -494,7 +494,7 @@ def _nothing(columns: Groups) -> list[Array]:
 
 
 def _worst(
-    found: SimulatedBlocks, columns: Sequence[Groups], added: Columns, base: Columns
+    found: SimulatedSegments, columns: Sequence[Groups], added: Columns, base: Columns
 ) -> _Found:
     """Return the output whose residual variance the regressors explain best, flagged ones first."""
     each: list[_Found] = []
@@ -520,7 +520,7 @@ def _range(lags: Array, sizes: Array, band: float) -> str:
     return f"lags {lags[first]:.0f} to {lags[last]:.0f}"
 
 
-def _means(found: SimulatedBlocks, output: int, x: Array) -> CheckCurve:
+def _means(found: SimulatedSegments, output: int, x: Array) -> CheckCurve:
     """Mean residuals of one output over parts of as many samples, in the order of x."""
     e = np.concatenate(found.residuals(output)) / found.deviation[output]
     order = np.array_split(np.argsort(x, kind="stable"), min(_PARTS, len(x)))

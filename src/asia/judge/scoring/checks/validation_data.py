@@ -6,42 +6,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from asia.data.trajectory import Array, filled, spread_of
+from asia.data.segment import SimulatedSegment
+from asia.data.trajectory import Array, spread_of
 from asia.judge.scoring.checks.check import Check
-from asia.judge.scoring.outcome import without_gaps
 
 
 @dataclass(frozen=True)
-class SimulatedBlock:
-    """Segment of a record, measured and simulated."""
-
-    u: Array
-    """Inputs (H, nu)."""
-    y: Array
-    """Measured outputs (H, ny), NaN where an output was not measured."""
-    y_hat: Array
-    """Simulated outputs (H, ny)."""
-    record: int = 0
-    """Number of the record, 0-based."""
-    start: int = 0
-    """The first sample in that record, 0-based."""
-
-    @property
-    def residual(self) -> Array:
-        """Measured less simulated (H, ny), on straight lines between the measured samples."""
-        return filled(self.y - self.y_hat)
-
-    @property
-    def complete_y(self) -> Array:
-        """Measured outputs (H, ny), simulated plus residual where an output was not measured."""
-        return without_gaps(self.y, self.y_hat)
-
-
-@dataclass(frozen=True)
-class SimulatedBlocks:
+class SimulatedSegments:
     """All blocks of a validation report, with the names of their channels."""
 
-    blocks: tuple[SimulatedBlock, ...]
+    blocks: tuple[SimulatedSegment, ...]
     """Simulated blocks, at least one."""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -100,7 +74,7 @@ class LinearResponse:
 class ValidationData:
     """Simulations and responses of the model that is validated."""
 
-    simulations: SimulatedBlocks
+    simulations: SimulatedSegments
     """Measured and simulated outputs of samples that the model was not fitted to."""
     linear_responses: tuple[LinearResponse, ...]
     """Responses to small steps of each input; () where the model has no finite one."""
@@ -124,7 +98,7 @@ Conformance suite: `asia.testing.check_validation_check`.
 """
 
 
-def without_responses(simulations: SimulatedBlocks) -> ValidationData:
+def without_responses(simulations: SimulatedSegments) -> ValidationData:
     """Data for the checks that need simulations only, with the range of the simulated records."""
     y = np.concatenate([block.complete_y for block in simulations.blocks])
     unknown = [None] * len(simulations.outputs)

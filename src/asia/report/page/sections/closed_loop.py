@@ -76,8 +76,8 @@ def _overlays(subject: Subject) -> list[Overlay]:
             for channel in range(len(control.controlled)):
                 found.append(
                     Overlay(
-                        title=join((said(f"fold {fold.index + 1}, {block.case.name}"),)),
-                        alt=f"scenario {block.case.name}",
+                        title=join((said(f"fold {fold.index + 1}, {block.name}"),)),
+                        alt=f"scenario {block.name}",
                         channel=channel,
                         first=0,
                         measured=block.y,

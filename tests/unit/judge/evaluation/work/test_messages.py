@@ -103,7 +103,7 @@ def test_held_out_outputs_do_not_travel(problem: Problem) -> None:
             pairs = [block.y[k : k + 2].tobytes() for k in range(len(block.y) - 1)]
             assert not any(pair in sent for pair in pairs for sent in (raw, *there.requests))
     fold = folds[0]
-    blank = fold_data(fold, problem.protocol).blocks
+    blank = fold_data(fold, problem.protocol).held_out
     assert all(np.isnan(block.y).all() for block in blank)
 
 

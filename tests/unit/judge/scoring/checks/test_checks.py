@@ -11,6 +11,7 @@ from scipy import signal
 from scipy.signal import lfilter
 
 from asia.data import Array
+from asia.data.segment import Segment, SimulatedSegment
 from asia.judge.scoring.bands import region_of
 from asia.judge.scoring.checks.check import Cause, Check, Verdict, most_serious, summary
 from asia.judge.scoring.checks.errors import (
@@ -33,8 +34,7 @@ from asia.judge.scoring.checks.response import (
 )
 from asia.judge.scoring.checks.validation_data import (
     LinearResponse,
-    SimulatedBlock,
-    SimulatedBlocks,
+    SimulatedSegments,
     ValidationData,
     without_responses,
 )
@@ -44,13 +44,16 @@ B, A = [0.0, 0.2, 0.1], [1.0, -1.3, 0.5]
 SAMPLES = 1200
 
 
-def simulations(y_hat: Array, y: Array, u: Array) -> SimulatedBlocks:
+def segment(u: Array, y: Array, y_hat: Array, start: int) -> SimulatedSegment:
+    return Segment(u[:0], y[:0], u, y, start=start).simulated(y_hat)
+
+
+def simulations(y_hat: Array, y: Array, u: Array) -> SimulatedSegments:
     cut = zip(np.array_split(u, 3), np.array_split(y, 3), np.array_split(y_hat, 3), strict=True)
     blocks = tuple(
-        SimulatedBlock(a[:, None], b[:, None], c[:, None], 0, 400 * k)
-        for k, (a, b, c) in enumerate(cut)
+        segment(a[:, None], b[:, None], c[:, None], 400 * k) for k, (a, b, c) in enumerate(cut)
     )
-    return SimulatedBlocks(blocks, ("valve",), ("level",), 0.5)
+    return SimulatedSegments(blocks, ("valve",), ("level",), 0.5)
 
 
 def data_with(**fields: Any) -> ValidationData:
@@ -73,7 +76,7 @@ def flagged(checks: tuple[Check, ...]) -> set[Cause | None]:
     return {c.cause for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)}
 
 
-def all_checks(found: SimulatedBlocks) -> tuple[Check, ...]:
+def all_checks(found: SimulatedSegments) -> tuple[Check, ...]:
     data = without_responses(found)
     return (*residual_checks(data), check_gain(data), check_frequency_response(data))
 
@@ -240,13 +243,13 @@ def test_a_model_of_few_parameters_does_not_fit_the_noise_of_many_samples() -> N
     assert check_overfit(*ratio, _white_errors(5_000)).cause is None
 
 
-def _white_errors(samples: int) -> SimulatedBlocks:
+def _white_errors(samples: int) -> SimulatedSegments:
     """Two blocks whose errors are independent."""
     rng = np.random.default_rng(0)
     y_hat = np.sin(0.1 * np.arange(samples))[:, None]
     noise = 0.1 * rng.standard_normal((2, samples, 1))
-    blocks = [SimulatedBlock(y_hat, y_hat + e, y_hat, 0, k * samples) for k, e in enumerate(noise)]
-    return SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0)
+    blocks = [segment(y_hat, y_hat + e, y_hat, k * samples) for k, e in enumerate(noise)]
+    return SimulatedSegments(tuple(blocks), ("u",), ("y",), 1.0)
 
 
 def test_a_record_outside_the_region(random: np.random.Generator) -> None:
@@ -302,16 +305,16 @@ def test_the_gain_of_the_data_is_drawn_where_it_is_clear(random: np.random.Gener
     assert 0 < len(check.curves[0].x) < len(clear.curves[0].x)
 
 
-def _gain_changes(sizes: tuple[float, float], noise: float = 0.02) -> SimulatedBlocks:
+def _gain_changes(sizes: tuple[float, float], noise: float = 0.02) -> SimulatedSegments:
     """Held-out halves of a first-order lag; the model of each half has the gain of the other."""
     rng = np.random.default_rng(3)
-    blocks: list[SimulatedBlock] = []
+    blocks: list[SimulatedSegment] = []
     for k, own in enumerate(sizes):
         u = np.repeat(rng.uniform(-1, 1, 60), 10)[:, None]
         x = np.asarray(lfilter([0.2], [1.0, -0.8], u, axis=0))
         y = own * x + noise * rng.standard_normal(x.shape)
-        blocks.append(SimulatedBlock(u, y, sizes[1 - k] * x, 0, 600 * k))
-    return SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0)
+        blocks.append(segment(u, y, sizes[1 - k] * x, 600 * k))
+    return SimulatedSegments(tuple(blocks), ("u",), ("y",), 1.0)
 
 
 def test_a_larger_held_out_error_is_called_drift_where_the_parts_need_other_parameters() -> None:
@@ -331,14 +334,14 @@ def test_a_larger_held_out_error_is_called_overfit_where_too_many_parameters_fit
     y = np.asarray(lfilter([0.2], [1.0, -0.8], u, axis=0)) + 0.2 * rng.standard_normal((240, 1))
     past = np.concatenate([np.roll(u, k, axis=0) for k in range(60)], axis=1)
     halves = (slice(60, 150), slice(150, 240))
-    blocks: list[SimulatedBlock] = []
+    blocks: list[SimulatedSegment] = []
     train, held = [], []
     for fit, judge in (halves, halves[::-1]):
         gains = np.linalg.lstsq(past[fit], y[fit], rcond=None)[0]
         train.append(float(np.std(y[fit] - past[fit] @ gains)))
         held.append(float(np.std(y[judge] - past[judge] @ gains)))
-        blocks.append(SimulatedBlock(u[judge], y[judge], past[judge] @ gains, 0, judge.start))
-    blocks_of_both = SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0)
+        blocks.append(segment(u[judge], y[judge], past[judge] @ gains, judge.start))
+    blocks_of_both = SimulatedSegments(tuple(blocks), ("u",), ("y",), 1.0)
     found = check_overfit(train, held, blocks_of_both, parameters=60)
     assert found.cause is Cause.OVERFIT
     assert "too many parameters or too few samples" in found.sentence

@@ -1,0 +1,66 @@
+"""A part of a record: what a model simulates, and what was measured there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from asia.data.trajectory import Array, filled
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Part of a record with the past windows before it."""
+
+    past_u: Array
+    """Past window of the inputs (n_past_u, nu)."""
+    past_y: Array
+    """Past window of the outputs (n_past_y, ny)."""
+    u: Array
+    """Inputs (H, nu) of the samples to simulate."""
+    y: Array
+    """Measured outputs (H, ny), NaN where none was measured. A candidate never has them."""
+    name: str = ""
+    """Name of the record."""
+    record: int = 0
+    """Number of the record among those that were cut, 0-based."""
+    start: int = 0
+    """The first sample to simulate in that record, 0-based."""
+
+    @property
+    def stop(self) -> int:
+        """One past the last sample, 0-based."""
+        return self.start + len(self.y)
+
+    @property
+    def unmeasured(self) -> Segment:
+        """The segment without its outputs, for a machine that must not have them."""
+        return replace(self, y=np.broadcast_to(np.float64(np.nan), self.y.shape))
+
+    def simulated(self, y_hat: Array) -> SimulatedSegment:
+        """Return the segment with its simulated outputs (H, ny)."""
+        return SimulatedSegment(**vars(self), y_hat=y_hat)
+
+
+@dataclass(frozen=True)
+class SimulatedSegment(Segment):
+    """Segment, measured and simulated."""
+
+    y_hat: Array = field(kw_only=True)
+    """Simulated outputs (H, ny)."""
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated (H, ny), on straight lines between the measured samples."""
+        return filled(self.y - self.y_hat)
+
+    @property
+    def complete_y(self) -> Array:
+        """Measured outputs (H, ny), simulated plus residual where an output was not measured."""
+        return self.y_hat + self.residual if np.isnan(self.y).any() else self.y
+
+    def first(self, samples: int) -> SimulatedSegment:
+        """Return a segment of at most so many samples."""
+        cut = slice(samples)
+        return replace(self, u=self.u[cut], y=self.y[cut], y_hat=self.y_hat[cut])
