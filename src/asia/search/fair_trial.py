@@ -3,15 +3,16 @@
 One unlucky setting must not decide on an idea. The values of the setting that a family declares,
 from stiff to free, and what it begins with, its parent or the linear model, are fitted to a part of
 each fold's own training records and simulated on the rest, `asia.problem.folds.inner_folds`. One
-choice is made for all folds, from the errors of all of them: the simplest variant whose mean error
-is within one standard error of the least (Breiman, Friedman, Olshen and Stone, Classification and
-Regression Trees, 1984, section 3.4). Its source is scored, refitted and handed over.
+choice is made for all folds, from the errors of all of them: the linear model where it is within
+one standard error of the least error (Breiman, Friedman, Olshen and Stone, Classification and
+Regression Trees, 1984, section 3.4), else the least. Its source is scored, refitted and handed
+over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, sqrt
 from statistics import fmean
 
@@ -87,7 +88,7 @@ def choice(
         finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
         if finer.keys() - sources.keys():
             sources, variants = finer, compared(evaluator, finer, whole=True)
-    return sources, undecided(variants) if PARENT in begins else variants
+    return sources, variants
 
 
 def evaluation_of(landed: Landed | Evaluated, folds: Sequence[Fold], store: Store) -> Evaluation:
@@ -208,23 +209,17 @@ def compared(
     return chosen_of(list(sources)[: len(errors)], errors)
 
 
-def undecided(variants: Sequence[Variant]) -> tuple[Variant, ...]:
-    """Choose the simplest change that is not behind its parent by more than one standard error, if
-    there is one: what inner parts leave open, the folds decide."""
-    near = (v for v in variants if v.error and v.behind <= v.deviation and v.name != PARENT)
-    simplest = next(near, None)
-    if simplest is None:
-        return tuple(variants)
-    return tuple(replace(v, chosen=v is simplest) for v in variants)
-
-
 def chosen_of(
     names: Sequence[str], errors: Sequence[tuple[float, ...] | Reason]
 ) -> tuple[Variant, ...]:
-    """Choose the first variant that is behind the best by no more than one standard error.
+    """Choose the variant of the least error, or what the candidate begins with: the linear model
+    where it is behind the least by no more than one standard error, its parent where every change
+    is behind by more than that. What inner parts leave open between a change and its parent, the
+    folds decide.
 
-    It is that of the paired difference, or that of the best variant's error if this is smaller: a
-    variant that diverges in a single part has a difference as large as its standard error.
+    The standard error is that of the paired difference, or that of the best variant's error if this
+    is smaller: a variant that diverges in a single part has a difference as large as its standard
+    error.
 
     Args:
         names: of the variants, from simple to free
@@ -241,7 +236,13 @@ def chosen_of(
         else 0.0
         for i, d in behind.items()
     }
-    chosen = min(i for i, d in behind.items() if d.mean() <= deviation[i])
+    near = {i for i, d in behind.items() if d.mean() <= deviation[i]}
+    begun = {names[i]: i for i in known if names[i] in (LINEAR, PARENT)}
+    changes = sorted(known.keys() - begun.values(), key=lambda i: float(behind[i].mean()))
+    if begun.get(LINEAR) in near or not changes:
+        chosen = next(iter(begun.values()))
+    else:
+        chosen = changes[0] if changes[0] in near else begun.get(PARENT, changes[0])
     return tuple(
         Variant(name, failed=error.value)
         if isinstance(error, Reason)
