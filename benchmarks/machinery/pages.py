@@ -3,8 +3,8 @@
 python benchmarks/machinery/pages.py RUNS RUN [--real RUN] [--out docs/img/pages] [--browser PATH]
 
 Starts `asia view` on the folder RUNS and opens its pages in a headless Chromium: the page of RUN,
-its experiments, trade-offs, comparison and tabs at 1280 pixels in light, some of them on a phone in
-dark. --real: a search on measured data, for the curve of the first page. Prints the files.
+its trade-offs, comparison and tabs at 1280 pixels in light. --real: a search on measured data, for
+the curve of the first page. Prints the files.
 """
 
 from __future__ import annotations
@@ -17,11 +17,7 @@ from pathlib import Path
 
 from playwright.sync_api import Browser, expect, sync_playwright
 
-SIZES = {
-    "": ({"width": 1280, "height": 860}, "light"),
-    "-phone": ({"width": 390, "height": 844}, "dark"),
-}
-"""End of the name, screen and scheme."""
+SCREEN = {"width": 1280, "height": 860}
 
 
 def main() -> None:
@@ -37,11 +33,9 @@ def main() -> None:
     # Name, address, section to show (none: the top of the page).
     pictures = [
         ("run", page, ""),
-        ("experiments", page, "experiments"),
         ("trade-offs", page, "tradeoff"),
         ("timeline", page, "timeline"),
         ("simulations", f"{page}/simulations", ""),
-        ("experiment", f"{page}/experiments/3", ""),
         ("overlay", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "overlays"),
         ("settings", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "settings"),
         ("linear", f"{page}/linear", ""),
@@ -58,24 +52,14 @@ def main() -> None:
                 browser = playwright.chromium.launch(
                     executable_path=given.browser, args=["--no-sandbox"]
                 )
-                for end in SIZES:
-                    kept = (
-                        ("run", "experiments", "simulations")
-                        if end
-                        else [name for name, *_ in pictures]
-                    )
-                    chosen = [one for one in pictures if one[0] in kept]
-                    take(browser, address, chosen, given.out, end)
+                take(browser, address, pictures, given.out)
         finally:
             process.terminate()
 
 
-def take(
-    browser: Browser, address: str, pictures: list[tuple[str, str, str]], out: Path, end: str
-) -> None:
+def take(browser: Browser, address: str, pictures: list[tuple[str, str, str]], out: Path) -> None:
     """Take pictures on one screen."""
-    size, scheme = SIZES[end]
-    context = browser.new_context(viewport=size, color_scheme=scheme)  # pyright: ignore
+    context = browser.new_context(viewport=SCREEN, color_scheme="light")  # pyright: ignore
     page = context.new_page()
     page.goto(address)
     host = address.partition("/?")[0]
@@ -83,15 +67,15 @@ def take(
         page.goto(host + path)
         waiting = page.locator("section:not([hidden]) [data-part]:empty")
         expect(waiting).to_have_count(0, timeout=60_000)
-        file = out / f"view-{name}{end}.png"
+        file = out / f"view-{name}.png"
         # The bar of sections would lie over the top of a long section.
         page.evaluate(
             "for (const nav of document.querySelectorAll('nav')) nav.style.position = 'static'"
         )
         if section in ("progress", "overlays", "settings", "timeline", "tradeoff"):
-            page.set_viewport_size({"width": size["width"], "height": 2000})
+            page.set_viewport_size({"width": SCREEN["width"], "height": 2000})
             page.locator(f"#{section}").screenshot(path=file)
-            page.set_viewport_size(size)  # pyright: ignore
+            page.set_viewport_size(SCREEN)  # pyright: ignore
         else:
             if section:
                 page.evaluate(f"document.querySelector('#{section}').scrollIntoView()")
