@@ -25,7 +25,7 @@ from asia.judge.scoring.confirmation import ComparedParts, Confirmation, paired_
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Proposed, Retest, Status
+from asia.ledger.events import Fit, Proposed, Status
 from asia.ledger.view import Experiment, SearchView, on_ladder
 from asia.search.fair_trial import Tried, first_fit
 from asia.search.pending import retest_fits
@@ -55,7 +55,7 @@ class Decision:
     tried: Tried
     """Its first fit, or why there is no score."""
     status: Status
-    retests: tuple[Retest, ...] = ()
+    retests: tuple[Fit, ...] = ()
     threshold: float | None = None
     """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     deadline: bool = False
@@ -173,7 +173,7 @@ def _decide_by_retests(
         if lead < _WORTH_A_RETEST * threshold or lead <= 0.0:
             status = "discard" if lead <= 0.0 else "inconclusive"
             return Decision(tried, status, threshold=threshold, validation_scores=scores)
-    retests: list[Retest] = []
+    retests: list[Fit] = []
     values, failure = [score.value], None
     most = view.started.retests
     limit, linear = view.started.retest_limit, view.reference_value(LINEAR_REFERENCE)
@@ -185,18 +185,18 @@ def _decide_by_retests(
 
     with retest_fits(evaluator, fit, most) as take:
         for number in range(most):
-            begin = time.monotonic()
+            seed, begin = _FIRST_SEED + number, time.monotonic()
             again = take(number)
             seconds = time.monotonic() - begin
             scores += again.validation_scores
             outcome = again.outcome
             if isinstance(outcome, Failure):
                 failure = outcome.reason
-                retests.append(Retest(failed=failure.value, seconds=seconds))
+                retests.append(Fit(seed, "retest", failed=failure.value, seconds=seconds))
                 break
             same = same_simulations(first.y_hats, again.y_hats)
             folds = tuple(fold.value for fold in outcome.folds)
-            retests.append(Retest(outcome.value, folds, same=same, seconds=seconds))
+            retests.append(Fit(seed, "retest", outcome.value, folds, same=same, seconds=seconds))
             if same:
                 # One fit shows it: the others would be the same.
                 break

@@ -11,7 +11,7 @@ from asia.judge.evaluation.results import FoldFindings, StepErrors
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Evaluated, FoldEvidence, Retest
+from asia.ledger.events import Evaluated, Fit, FoldEvidence
 from asia.ledger.evidence import (
     ParameterSpread,
     RunSettings,
@@ -255,7 +255,7 @@ def test_the_noise_is_that_of_the_experiments_that_are_compared(store: Store) ->
 
     def repeated(one: Experiment, value: float) -> Experiment:
         assert one.result is not None
-        again = (Retest(value),)
+        again = (Fit(7, "retest", value),)
         return replace(one, result=replace(one.result, retests=again))
 
     seen = replace(

@@ -259,9 +259,9 @@ def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
         if check.ensemble_error is not None:
             rows.append(["ensemble", value("check.ensemble_error", check.ensemble_error), None])
         for k, start in enumerate(check.starts):
-            objection = join((" ", said(f"({start.objection})"))) if start.objection else None
+            objection = join((" ", said(f"({start.failed})"))) if start.failed else None
             name = join(("refit" if check.kept == k + 1 else "refit, not used", objection))
-            error = value(f"check.starts.{k}.error", start.error) or "no answer"
+            error = value(f"check.starts.{k}.value", start.value) or "no answer"
             apart = value(f"check.starts.{k}.disagreement", start.disagreement)
             rows.append([name, error, apart])
     if rows:
@@ -284,12 +284,12 @@ def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
         )
     if again is not None:
         fold = subject.number(refitted, "again.fold", "count")
-        if again.ratio is None:
+        if again.value is None:
             yield tag("p", "A second fit of fold ", fold, " failed: ", said(again.failed), ".")
-        elif again.ratio == 1.0:
+        elif again.value == 1.0:
             yield tag("p", "A second fit of fold ", fold, " gave the same result.")
         else:
-            ratio = subject.number(refitted, "again.ratio", "sig4")
+            ratio = subject.number(refitted, "again.value", "sig4")
             yield tag(
                 "p", "A second fit of fold ", fold, " has ", ratio, " times the error of the first."
             )
