@@ -24,6 +24,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from asia.data import Array
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.bands import HeldOutErrors, calibrate, error_sizes
 from asia.judge.scoring.checks.check import Check
 from asia.judge.scoring.checks.errors import check_bands, check_overfit
@@ -38,7 +39,6 @@ from asia.judge.scoring.outcome import combine, score_fold
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import (
     Evaluated,
-    FoldEvidence,
     Proposed,
     RecordedCheck,
     RefitCheck,
@@ -169,7 +169,7 @@ def events(
         held.append(score.value)
         figures = Diagnostics(train[-1], 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
         scores.append(score)
-        evidence.append(FoldEvidence("0" * 64, "0" * 64, "0" * 64, figures, 1.0))
+        evidence.append(FoldRecord("0" * 64, "0" * 64, "0" * 64, figures, 1.0))
         blocks.append(SimulatedBlock(u[part, None], y[part, None], y_hat[part, None], 0,
                                      int(part[0])))  # fmt: skip
         errors.append(HeldOutErrors(((y - y_hat)[part, None],)))

@@ -1,14 +1,14 @@
 """Arena: one cheating candidate against the real evaluator."""
 
 import time
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker
@@ -140,7 +140,7 @@ def _observe(
         # As in a search, a score that would win is checked.
         least = honest if attack.folds != 1 else 0.0
         if isinstance(outcome, Score) and outcome.value < least:
-            outcome = evaluator.objection(source, evaluation.folds) or outcome
+            outcome = evaluator.objection(source, evaluation) or outcome
         unconfirmed = ""
         if isinstance(outcome, Score) and outcome.value < least and not unchecked:
             plain = fill_in(HONEST, given.source, problem)
@@ -181,7 +181,7 @@ def _unconfirmed(
     gain = share_gained(before.outcome.value, found.outcome.value)
     try:
         y_hats = [
-            simulated(evaluator, text, [fold.model for fold in each.folds], blocks)
+            simulated(evaluator, text, [each.artifacts.get(f.model) for f in each.folds], blocks)
             for text, each in ((honest, before), (source, found))
         ]
     except CandidateError as error:
@@ -243,7 +243,7 @@ class _Known(Evaluator):
         del start, over
         return Evaluation(self._known)
 
-    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+    def objection(self, source: str, evaluation: Evaluation) -> Failure | None:
         """Return the objection that the candidate asks for."""
         return None if self._spoil is None else self._spoil(self._known)
 

@@ -233,7 +233,7 @@ class _Confirmation:
 
     def repeat_all(self, chosen: list[Experiment]) -> None:
         """Fit all seeds of each candidate in sequence."""
-        total, done, folds = len(chosen) * self.seeds, 0, self.evaluator.data.folds
+        total, done, data = len(chosen) * self.seeds, 0, self.evaluator.data
         known = {(fit.experiment, fit.seed): fit for fit in self._repeats}
         with self.evaluator.workers.ready_workers():
             for experiment in chosen:
@@ -251,13 +251,13 @@ class _Confirmation:
                         if isinstance(found.outcome, Failure):
                             event = replace(event, failed=found.outcome.reason.value)
                         else:
-                            before = fold_outputs(self.store, experiment, folds)
+                            y_hat = fold_outputs(found.artifacts, found.folds, data.folds)
                             event = replace(
                                 event,
                                 value=found.outcome.value,
                                 folds=tuple(fold.value for fold in found.outcome.folds),
-                                blocks=self._blocks(found.y_hats),
-                                same=same_simulations(before, found.y_hats),
+                                blocks=self._blocks(y_hat),
+                                same=same_simulations(experiment.folds, found.folds),
                             )
                         self.chain.append(event)
                         self.on_repeat(event, done, total)
@@ -281,7 +281,7 @@ class _Confirmation:
         """The first fit of a candidate and all that was repeated of it."""
         assert experiment.score is not None
         values = np.array([[fold.value for fold in experiment.score.folds]])
-        found = fold_outputs(self.store, experiment, self.evaluator.data.folds)
+        found = fold_outputs(self.store, experiment.folds, self.evaluator.data.folds)
         blocks = even_blocks([self._blocks(found)])
         repeats = tuple(
             r for r in self._repeats if r.experiment == experiment.number and r.seed <= self.seeds

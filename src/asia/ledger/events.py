@@ -13,16 +13,14 @@ from typing import Annotated, Any, Literal
 from pydantic import AliasChoices, Field, TypeAdapter
 
 from asia._timer import TimeSpent
+from asia.judge.evaluation.artifacts import ArtifactName
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.euclidean_error import MeeTable
 from asia.judge.scoring.outcome import Failure, Outcome, TestScore
 from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
-from asia.judge.scoring.residuals import Diagnostics
 from asia.problem.protocol import EarlyStopping, ShownResidual
-
-ArtifactName = str
-"""sha256 of an artifact of the run."""
 
 
 def _omitted(default: object) -> Any:
@@ -465,28 +463,6 @@ class Proposed:
 
 
 @dataclass(frozen=True)
-class FoldEvidence:
-    """Artifacts and training-side evidence of one fold."""
-
-    model: ArtifactName
-    y_hat: ArtifactName
-    curve: ArtifactName
-    """The candidate's log."""
-    diagnostics: Diagnostics
-    fit_seconds: float
-    validation_scores: int = 0
-    """Number of requests of the fit for its score on the held-out part."""
-    findings: ArtifactName | None = None
-    """`asia.judge.evaluation.results.FoldFindings`; None in older ledgers."""
-    machine: Annotated[str, _omitted("")] = ""
-    """The machine that fitted it; "" for the search's own."""
-    isolation: Annotated[str, _omitted("")] = ""
-    """The level in force on that machine; "" for the search's own, see `Evaluated`."""
-    attempt: Annotated[int, _omitted(0)] = 0
-    """Seed of the fit in older ledgers, where the first one fitted the fold's own data badly."""
-
-
-@dataclass(frozen=True)
 class Variant:
     """A setting that a candidate left open, or its linear model, compared on inner held-out parts
     of the training records."""
@@ -511,7 +487,7 @@ class Evaluated:
     experiment: int
     status: Status
     outcome: Outcome
-    folds: tuple[FoldEvidence, ...]
+    folds: tuple[FoldRecord, ...]
     output: ArtifactName | None
     """Its prints; None where it printed nothing."""
     seconds: float
@@ -560,7 +536,7 @@ class Landed:
 
     experiment: int
     outcome: Outcome
-    folds: tuple[FoldEvidence, ...]
+    folds: tuple[FoldRecord, ...]
     output: ArtifactName | None
     seconds: float
     """Duration of the fit and its simulations."""

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean, variance
-from typing import Literal, TypeVar, cast
+from typing import Literal, cast
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, Statement, stated
 from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
 from asia.errors import Reason, UserError
-from asia.judge.evaluation.results import FoldFindings
+from asia.judge.evaluation.results import FoldFindings, get_findings
 from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
@@ -136,19 +136,6 @@ class DrawnCheck:
 
 
 _DRAWN: TypeAdapter[tuple[DrawnCheck, ...]] = TypeAdapter(tuple[DrawnCheck, ...])
-_FINDINGS: TypeAdapter[FoldFindings] = TypeAdapter(FoldFindings)
-_Kept = TypeVar("_Kept")
-
-
-def _read(store: Store, name: str, form: TypeAdapter[_Kept]) -> _Kept:
-    """Raises UserError where the artifact is missing or this version cannot read it."""
-    try:
-        return form.validate_json(store.get(name))
-    except ValidationError:
-        raise UserError(
-            f"artifact {name} was written by another version of ASIA: read it with that one"
-        ) from None
-
 
 # More curves of a check cannot be distinguished in a drawing.
 _MOST_CURVES = 5
@@ -189,17 +176,7 @@ def _rounded(values: Array) -> tuple[float, ...]:
 
 def get_curves(store: Store, name: str) -> tuple[DrawnCheck, ...]:
     """Those of an artifact. Raises UserError where it is missing or this version cannot read it."""
-    return _read(store, name, _DRAWN)
-
-
-def put_findings(store: Store, findings: FoldFindings) -> str:
-    """Keep them; the name of the artifact."""
-    return store.put(_FINDINGS.dump_json(findings))
-
-
-def get_findings(store: Store, name: str) -> FoldFindings:
-    """Those of an artifact. Raises UserError where it is missing or this version cannot read it."""
-    return _read(store, name, _FINDINGS)
+    return store.parse(name, _DRAWN)
 
 
 def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple[FoldFindings, ...]:
@@ -686,7 +663,7 @@ def put_estimates(
 
 def get_estimates(store: Store, name: str) -> EstimatedModel:
     """Those of an artifact. Raises UserError where it is missing or this version cannot read it."""
-    return _read(store, name, _FITTED)
+    return store.parse(name, _FITTED)
 
 
 def identified(run: Run) -> IdentifiedModel | None:

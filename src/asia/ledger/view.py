@@ -10,6 +10,7 @@ from typing import Any
 
 from asia._text import coarse, rounded
 from asia.errors import KNOWN_ERRORS, Reason, UserError
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.outcome import Failure, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import (
@@ -20,7 +21,6 @@ from asia.ledger.events import (
     Exchanged,
     Extended,
     Fit,
-    FoldEvidence,
     GuardLooked,
     HandedOver,
     Landed,
@@ -97,7 +97,7 @@ class Experiment:
         return outcome if isinstance(outcome, Failure) else None
 
     @property
-    def folds(self) -> tuple[FoldEvidence, ...]:
+    def folds(self) -> tuple[FoldRecord, ...]:
         """Evidence on the fit of each fold; () without a result or a score."""
         return self.result.folds if self.result else ()
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +20,7 @@ from statistics import fmean, stdev
 from asia.agents.view import PARENT
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation, FoldResult, same_simulations
+from asia.judge.evaluation.results import Evaluation, same_simulations
 from asia.judge.scoring.confirmation import ComparedParts, Confirmation, paired_gain
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
@@ -98,17 +98,17 @@ def decide(
         return Decision(tried, status, deadline=timed_out, validation_scores=scores)
     if any(v.chosen and v.name == PARENT for v in tried.variants):
         return Decision(tried, "discard", validation_scores=scores)
-    folds, objected, confirmation = evaluation.folds, None, None
+    objected, confirmation = None, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
     if view.started.by_folds and lowest and view.best and store is not None:
-        doubt = fold_doubt(evaluator, folds, view.best, store)
+        doubt = fold_doubt(evaluator, evaluation, view.best, store)
         if doubt is not None:
             return Decision(tried, doubt, validation_scores=scores)
+    check = partial(evaluator.objection, source, evaluation)
     with ExitStack() as opened:
         if lowest and not evaluator.workers.is_sequential:
             # It is checked whatever the retests say.
-            check = partial(evaluator.objection, source, folds)
             objected = opened.enter_context(evaluator.workers.background(check))
         if view.started.retests:
             decision = _decide_by_retests(evaluator, tried, outcome, view)
@@ -119,7 +119,7 @@ def decide(
             # From other seeds its method is no better. Its own fit is.
             status = "inconclusive"
         if status == "keep" or lowest or view.started.ladder is not None:
-            failure = evaluator.objection(source, folds) if objected is None else objected.result()
+            failure = check() if objected is None else objected.result()
             if failure is None and confirm is not None and (status == "keep" or lowest):
                 confirmation = confirm(source, evaluation, view)
                 if confirmation is not None and not confirmation.confirmed:
@@ -138,7 +138,7 @@ def decide(
 
 
 def fold_doubt(
-    evaluator: Evaluator, folds: Sequence[FoldResult], best: Experiment, store: Store
+    evaluator: Evaluator, evaluation: Evaluation, best: Experiment, store: Store
 ) -> Status | None:
     """Compare a candidate of lower V with the best one on the held-out samples of the folds:
     `inconclusive` where the gain over all of them is not more than chance, `mixed` where it is and
@@ -148,10 +148,12 @@ def fold_doubt(
         ComparedParts(
             [block.y for block in fold.held_out],
             store.get_arrays(before.y_hat, fold.shapes),
-            after.y_hat,
+            evaluation.artifacts.get_arrays(after.y_hat, fold.shapes),
             fold.scale,
         )
-        for fold, before, after in zip(evaluator.data.folds, best.folds, folds, strict=True)
+        for fold, before, after in zip(
+            evaluator.data.folds, best.folds, evaluation.folds, strict=True
+        )
     ]
     if paired_gain(parts, metric).low <= 0.0:
         return "inconclusive"
@@ -194,7 +196,7 @@ def _decide_by_retests(
                 failure = outcome.reason
                 retests.append(Fit(seed, "retest", failed=failure.value, seconds=seconds))
                 break
-            same = same_simulations(first.y_hats, again.y_hats)
+            same = same_simulations(first.folds, again.folds)
             folds = tuple(fold.value for fold in outcome.folds)
             retests.append(Fit(seed, "retest", outcome.value, folds, same=same, seconds=seconds))
             if same:

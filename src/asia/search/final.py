@@ -20,7 +20,6 @@ from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
-    FoldResult,
     Refit,
     RefitModel,
     consistency,
@@ -44,6 +43,7 @@ from asia.problem.check import feedback_pairs
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts
+from asia.search.fair_trial import evaluation_of
 from asia.search.guard import Gate
 from asia.search.stress import StressRoom, bounded_model
 
@@ -397,14 +397,9 @@ def _stack_of(
 
 def _passes(evaluator: Evaluator, experiment: Experiment, store: Store) -> bool:
     """Whether a candidate answers like a model."""
-    score, each = experiment.score, zip(experiment.folds, evaluator.data.folds, strict=True)
-    assert score is not None
-    folds = [
-        FoldResult(one, store.get(kept.model), store.get_arrays(kept.y_hat, fold.shapes),
-                   np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
-        for one, (kept, fold) in zip(score.folds, each, strict=True)
-    ]  # fmt: skip
-    return evaluator.objection(store.text(experiment.source), folds) is None
+    assert experiment.result is not None
+    evaluation = evaluation_of(experiment.result, store)
+    return evaluator.objection(store.text(experiment.source), evaluation) is None
 
 
 def refit_winner(
@@ -467,7 +462,7 @@ def refit_winner(
         if isinstance(second, Failure):
             again = Fit(0, "repetition", failed=second.reason.value, fold=refit.fold)
         else:
-            value = second.score.value
+            value = second.value
             ratio = value / first if first > 0 else float(value == first)
             again = Fit(0, "repetition", ratio, fold=refit.fold)
     refitted = Refitted(

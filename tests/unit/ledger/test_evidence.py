@@ -7,11 +7,11 @@ import pytest
 
 from asia.data import Signal
 from asia.errors import Reason
-from asia.judge.evaluation.results import FoldFindings, StepErrors
+from asia.judge.evaluation.results import FoldFindings, FoldRecord, StepErrors, put_findings
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Evaluated, Fit, FoldEvidence
+from asia.ledger.events import Evaluated, Fit
 from asia.ledger.evidence import (
     ParameterSpread,
     RunSettings,
@@ -19,7 +19,6 @@ from asia.ledger.evidence import (
     findings_of,
     noise_of_repeats,
     parameter_spreads,
-    put_findings,
     shared_residuals,
 )
 from asia.ledger.text import evidence_lines, last_lines, minima_lines, parameter_lines
@@ -68,7 +67,7 @@ def view(
     events: list[object] = [start]
     for number, outcome in enumerate(outcomes, 1):
         folds = tuple(
-            FoldEvidence(
+            FoldRecord(
                 "m", "y", "c", Diagnostics(0.2, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0), 2.5,
                 findings=put_findings(store, findings(k, **changes)),
             )

@@ -187,7 +187,7 @@ def judged_as_without_the_ladder(
     assert isinstance(evaluation.outcome, Score)
     if decide_by_one_fit(evaluation.outcome, view) != "keep":
         return Decision(Tried(source, evaluation), "discard")
-    outcome = evaluator.objection(source, ()) or evaluation.outcome
+    outcome = evaluator.objection(source, evaluation) or evaluation.outcome
     tried = Tried(source, replace(evaluation, outcome=outcome))
     return Decision(tried, decide_by_one_fit(outcome, view))
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 from asia.errors import Reason, SandboxError
 from asia.judge.evaluation.background import CancelFlag
-from asia.judge.evaluation.results import FoldEnd, FoldResult
-from asia.judge.scoring.outcome import Failure
+from asia.judge.evaluation.results import Evaluation
+from asia.judge.scoring.outcome import Failure, Score
 
 
 class FoldPruner:
@@ -26,7 +26,7 @@ class FoldPruner:
         self.ended = 0
         """How many folds were ended while they ran."""
 
-    def fit(self, index: int, job: Callable[[], FoldEnd]) -> FoldEnd | None:
+    def fit(self, index: int, job: Callable[[], Evaluation]) -> Evaluation | None:
         """Run the fit of a fold; return None where it no longer counts: it was not started, or it
         was cancelled."""
         if self.failure() is not None:
@@ -39,9 +39,9 @@ class FoldPruner:
             with self._lock:
                 self.ended += 1
             return None
-        if isinstance(end.result, FoldResult):
+        if isinstance(end.outcome, Score):
             with self._lock:
-                self._parts[index] = end.result.score.value
+                self._parts[index] = end.outcome.value
             failure = self.failure()
             if failure is not None:
                 for flag in self.cancels[failure.fold :]:

@@ -13,7 +13,7 @@ from asia.agents import AgentView, Proposal
 from asia.errors import Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.pruning import FoldPruner
-from asia.judge.evaluation.results import FoldEnd
+from asia.judge.evaluation.results import Evaluation
 from asia.judge.executors import make_executor
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.evidence import cancelled_folds, pruned_folds
@@ -70,13 +70,13 @@ class Listed:
 def begun(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     """Source and fold of every fit, as they begin."""
     fits: list[tuple[str, int]] = []
-    real: Callable[..., FoldEnd] = Evaluator._fold_or_failure  # pyright: ignore[reportPrivateUsage]
+    real: Callable[..., Evaluation] = Evaluator._evaluate_fold  # pyright: ignore[reportPrivateUsage]
 
-    def counted(self: Evaluator, source: str, fold: object, start: int = 0) -> FoldEnd:
+    def counted(self: Evaluator, source: str, fold: object, *rest: object) -> Evaluation:
         fits.append((source, getattr(fold, "index", -1)))
-        return real(self, source, fold, start)
+        return real(self, source, fold, *rest)
 
-    monkeypatch.setattr(Evaluator, "_fold_or_failure", counted)
+    monkeypatch.setattr(Evaluator, "_evaluate_fold", counted)
     return fits
 
 

@@ -14,7 +14,7 @@ import asia
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.results import Evaluation, FoldRecord
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import Failure, Score
 from asia.judge.scoring.repeated_fits import significance_threshold
@@ -60,10 +60,10 @@ class Fits(Evaluator):
         outcome = self.outcomes[len(self.starts) - 1]
         if isinstance(outcome, Failure):
             return Evaluation(outcome)
-        fold = SimpleNamespace(y_hat=(np.array([outcome]),))
-        return Evaluation(Score(outcome, ()), (cast(FoldResult, fold),))
+        fold = SimpleNamespace(y_hat=str(outcome))
+        return Evaluation(Score(outcome, ()), (cast(FoldRecord, fold),))
 
-    def objection(self, source: str, folds: object) -> None:
+    def objection(self, source: str, evaluation: object) -> None:
         """None."""
 
 

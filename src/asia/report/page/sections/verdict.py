@@ -502,8 +502,8 @@ def held_out_overlays(
     problem, score, folds = subject.problem, experiment.score, subject.folds
     if problem is None or score is None:
         return []
-    outputs = fold_outputs(subject.run.store, experiment, folds)
-    beside = [fold_outputs(other.run.store, e, folds) for other, e in others]
+    outputs = fold_outputs(subject.run.store, experiment.folds, folds)
+    beside = [fold_outputs(other.run.store, e.folds, folds) for other, e in others]
     overlays: list[Overlay] = []
     for channel in lowest(worst_fits(score), max(1, MOST_PANELS // len(folds))):
         for k, (fold, y_hat) in enumerate(zip(folds, outputs, strict=True)):

@@ -1,15 +1,14 @@
 """Fits that are ended from another thread, and folds that do not count any more."""
 
 import threading
-from typing import Any
 
 import pytest
 
 from asia.errors import Reason, SandboxError
 from asia.judge.evaluation.background import CancelFlag
 from asia.judge.evaluation.pruning import FoldPruner
-from asia.judge.evaluation.results import FoldEnd, FoldResult
-from asia.judge.scoring.outcome import Failure
+from asia.judge.evaluation.results import Evaluation
+from asia.judge.scoring.outcome import Failure, Score
 
 
 class Fold:
@@ -18,13 +17,13 @@ class Fold:
     def __init__(self, pruner: FoldPruner, index: int, value: float | Failure) -> None:
         self._pruner, self._index, self._value = pruner, index, value
         self.begun, self.over, self.ended = threading.Event(), threading.Event(), False
-        self.given: list[FoldEnd | None] = []
+        self.given: list[Evaluation | None] = []
         self.thread = threading.Thread(target=self._run)
 
     def _run(self) -> None:
         self.given.append(self._pruner.fit(self._index, self._fit))
 
-    def _fit(self) -> FoldEnd:
+    def _fit(self) -> Evaluation:
         def end() -> None:
             self.ended = True
             self.over.set()
@@ -34,12 +33,8 @@ class Fold:
             assert self.over.wait(20.0)
             if self.ended:
                 raise SandboxError("the worker is gone")
-        result: Any = self._value
-        if isinstance(result, float):
-            score = type("S", (), {"value": result})()
-            result = object.__new__(FoldResult)
-            object.__setattr__(result, "score", score)
-        return FoldEnd(result, "", 0)
+        value = self._value
+        return Evaluation(Score(value, ()) if isinstance(value, float) else value)
 
     def finish(self) -> None:
         self.over.set()
@@ -93,7 +88,7 @@ def test_a_fold_that_failed_ends_no_other() -> None:
 
 
 def test_trouble_with_a_worker_that_was_not_ended_is_raised() -> None:
-    def fit() -> FoldEnd:
+    def fit() -> Evaluation:
         raise SandboxError("out of luck")
 
     with pytest.raises(SandboxError, match="out of luck"):
