@@ -18,10 +18,10 @@ from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
 from asia.errors import Reason, UserError
-from asia.judge.evaluation.results import FoldFindings, get_findings
+from asia.judge.evaluation.results import FoldFindings, FoldRecord, get_findings
 from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.judge.scoring.repeated_fits import significance_threshold
-from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
+from asia.judge.scoring.residuals import Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Variant
 from asia.ledger.run import Run
@@ -269,19 +269,6 @@ class RunSettings:
 
 
 @dataclass(frozen=True)
-class FoldShown:
-    """Evidence on one fold of an experiment."""
-
-    held_out: str
-    """Description of the held-out part; "" in older ledgers."""
-    value: float | None
-    """V of the fold; None where it is not reported."""
-    diagnostics: Diagnostics
-    fit_seconds: float
-    findings: FoldFindings | None
-
-
-@dataclass(frozen=True)
 class ComparedScore:
     """Difference of V to that of another experiment."""
 
@@ -300,8 +287,14 @@ class ExperimentEvidence:
     """Evidence on one experiment besides its score."""
 
     setting: RunSettings
-    folds: tuple[FoldShown, ...]
+    folds: tuple[FoldRecord, ...]
     """Its folds; () for a failure."""
+    held_out: tuple[str, ...]
+    """Description of the held-out part of each fold; "" in older ledgers."""
+    values: tuple[float | None, ...]
+    """V of each fold; None where it is not reported."""
+    findings: tuple[FoldFindings, ...]
+    """Findings of each fold; () in older ledgers."""
     residuals: tuple[SharedResidual, ...]
     """Ranges in which it is too high or too low on the training records, largest first."""
     held_out_residuals: tuple[SharedResidual, ...]
@@ -318,11 +311,6 @@ class ExperimentEvidence:
     """The fold that failed, in words; "" where none did, and in older ledgers."""
     variants: tuple[Variant, ...] = ()
     """Variants that were compared before it was scored."""
-
-    @property
-    def findings(self) -> list[FoldFindings]:
-        """Findings of the folds that have some."""
-        return [fold.findings for fold in self.folds if fold.findings is not None]
 
     @property
     def recorded(self) -> bool:
@@ -360,13 +348,6 @@ def evidence_of(
     assert result is not None
     findings = findings_of(store, experiment, bounded=bounded)
     count = len(result.folds)
-    rows = zip(
-        fold_names or ("",) * count,
-        [f.value for f in score.folds] if score and score.folds else [None] * count,
-        result.folds,
-        findings if len(findings) == count else [None] * count,
-        strict=True,
-    )
     differences = _differences(experiment, view)
     noise, printed, failed_fold = None, "", ""
     if not bounded:
@@ -379,10 +360,10 @@ def evidence_of(
         failed_fold = f"fold {failed}, {fold_names[failed - 1]}"
     return ExperimentEvidence(
         setting=setting,
-        folds=tuple(
-            FoldShown(name, value, kept.diagnostics, kept.fit_seconds, one)
-            for name, value, kept, one in (rows if result.folds else ())
-        ),
+        folds=result.folds,
+        held_out=(fold_names or ("",) * count) if result.folds else (),
+        values=tuple(f.value for f in score.folds) if score and score.folds else (None,) * count,
+        findings=findings if len(findings) == count else (),
         residuals=shared_residuals([one.residuals for one in findings]),
         held_out_residuals=shared_residuals([one.held_out_residuals for one in findings]),
         parameters=parameter_spreads(findings),

@@ -197,11 +197,9 @@ def test_many_outputs_and_folds_stay_one_screen(store: Store) -> None:
     seen = view(store, SCORE)
     shown = evidence_of(seen.experiment(1), seen, store, settings, bounded=False)
     other = replace(many, parameters=tuple((n, -v) for n, v in many.parameters), printed="a\n" * 9)
-    folds = tuple(
-        replace(fold, findings=one) for fold, one in zip(shown.folds, (many, other), strict=True)
-    )
     shown = replace(
-        shown, folds=folds, residuals=shared_residuals([many.residuals, other.residuals]),
+        shown, findings=(many, other),
+        residuals=shared_residuals([many.residuals, other.residuals]),
         parameters=parameter_spreads([many, other]),
     )  # fmt: skip
     assert len(evidence_lines(shown)) <= 50
