@@ -134,7 +134,7 @@ def row(problem: Problem, source: str, repeats: int) -> str:
         if isinstance(found.outcome, Failure):
             return f"failed: {found.outcome.reason}"
         begin = time.monotonic()
-        objection = checked.objection(source, found.folds)
+        objection = checked.objection(source, found)
         if objection is not None:
             return f"refused: {objection.detail}"
         times.append((bare, scored, time.monotonic() - begin))

@@ -25,10 +25,11 @@ from pathlib import Path
 import numpy as np
 
 from asia.errors import Reason
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.chain import BEGIN, Chain, encode
-from asia.ledger.events import Evaluated, Event, FoldEvidence, Proposed, ReferenceScored, Started
+from asia.ledger.events import Evaluated, Event, Proposed, ReferenceScored, Started
 from asia.ledger.index import index_path
 from asia.ledger.verification import verify
 
@@ -163,11 +164,11 @@ def _score(random: np.random.Generator, folds: int) -> Score:
     )
 
 
-def _fold(files: _Files, random: np.random.Generator) -> FoldEvidence:
+def _fold(files: _Files, random: np.random.Generator) -> FoldRecord:
     model, y_hat, curve = (files.put(random.bytes(n)) for n in (1500, 4000, 800))
     value = float(random.uniform())
     numbers = random.uniform(size=8).tolist()
-    return FoldEvidence(model, y_hat, curve, Diagnostics(*numbers), value)
+    return FoldRecord(model, y_hat, curve, Diagnostics(*numbers), value)
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ def gained(problem: SmallProblem, share: float) -> tuple[float, bool]:
     honest, found = evaluator.evaluate(plain).outcome, evaluator.evaluate(source)
     assert isinstance(honest, Score), honest
     assert isinstance(found.outcome, Score), found.outcome
-    refused = evaluator.objection(source, found.folds) is not None
+    refused = evaluator.objection(source, found) is not None
     return found.outcome.value / honest.value, refused
 
 

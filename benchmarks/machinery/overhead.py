@@ -298,7 +298,7 @@ def _once(
     own, imported = runner.clock.own, runner.clock.imported
     runner.clock = Clock()
     # The clock in the first output makes the replies differ: the verdict is of no interest.
-    evaluator.objection(source, evaluation.folds)
+    evaluator.objection(source, evaluation)
     wall, again = turns.walls
     return Times(wall, wall - own, imported, again - runner.clock.simulate, bare)
 

@@ -26,11 +26,12 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.outcome import FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
-from asia.ledger.events import Evaluated, FoldEvidence, Proposed, ReferenceScored, Started
+from asia.ledger.events import Evaluated, Proposed, ReferenceScored, Started
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
@@ -138,7 +139,7 @@ class Writer:
         words = ("explore", "state_space", title, "a slow state is missing", "V below the best")
         self._chain.append(Proposed(n, max(1, n - 1) if n > 1 else None, *words, source, str(n)))
         blank = Diagnostics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        folds = tuple(FoldEvidence(source, y_hat, source, blank, 1.0) for y_hat in self._outputs)
+        folds = tuple(FoldRecord(source, y_hat, source, blank, 1.0) for y_hat in self._outputs)
         scores = tuple(FoldScore(value, (value,), (value,), (50.0,), (0.75,)) for _ in folds)
         self._chain.append(Evaluated(n, status, Score(value, scores), folds, None, 2.0))
         return n

@@ -21,7 +21,7 @@ import numpy as np
 from asia import run
 from asia.agents import AgentView, Proposal
 from asia.analysis.ablation import ablate
-from asia.ledger.events import AblationFit
+from asia.ledger.events import Fit
 
 CANDIDATE = """
 import numpy as np
@@ -141,7 +141,7 @@ def main() -> None:
     print(f"\nThe true factor gets at least {100 * least:.1f} %.")
 
 
-def _quiet(event: AblationFit, done: int, total: int) -> None:
+def _quiet(event: Fit, done: int, total: int) -> None:
     del event, done, total
 
 

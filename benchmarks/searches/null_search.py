@@ -22,7 +22,7 @@ import numpy as np
 from asia import run
 from asia.agents import AgentView, Proposal
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.results import Evaluation, FoldRecord
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
@@ -103,10 +103,10 @@ class _Drawn(Evaluator):
         del source, start
         self.fits += 1
         value = float(np.exp(self._scatter * self._random.normal()))
-        fold = SimpleNamespace(y_hat=(np.array([value]),))
-        return Evaluation(Score(value, ()), (cast(FoldResult, fold),))
+        fold = SimpleNamespace(y_hat=str(value))
+        return Evaluation(Score(value, ()), (cast(FoldRecord, fold),))
 
-    def objection(self, source: str, folds: object) -> None:
+    def objection(self, source: str, evaluation: object) -> None:
         """None."""
 
 

@@ -25,6 +25,7 @@ from scipy.signal import lfilter
 
 from asia.data import Array
 from asia.data.segment import Segment
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.bands import HeldOutErrors, calibrate, error_sizes
 from asia.judge.scoring.checks.check import Check
 from asia.judge.scoring.checks.errors import check_bands, check_overfit
@@ -35,7 +36,6 @@ from asia.judge.scoring.outcome import combine, score_fold
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import (
     Evaluated,
-    FoldEvidence,
     Proposed,
     RecordedCheck,
     RefitCheck,
@@ -166,7 +166,7 @@ def events(
         held.append(score.value)
         figures = Diagnostics(train[-1], 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
         scores.append(score)
-        evidence.append(FoldEvidence("0" * 64, "0" * 64, "0" * 64, figures, 1.0))
+        evidence.append(FoldRecord("0" * 64, "0" * 64, "0" * 64, figures, 1.0))
         inputs, outputs = u[:, None], y[:, None]
         held_out = Segment(inputs[:0], outputs[:0], inputs[part], outputs[part], start=int(part[0]))
         blocks.append(held_out.simulated(y_hat[part, None]))

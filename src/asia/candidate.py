@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -58,6 +58,7 @@ class KnownSystem:
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
     """Equations from the problem file."""
+    _: KW_ONLY
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     """Changes of the signals that leave the system's laws as they are, by name: for each signal
     that changes, the one that takes its place, with a minus where its sign changes."""

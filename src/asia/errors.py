@@ -90,10 +90,12 @@ class UserError(AsiaError):
 class CandidateError(AsiaError):
     """The candidate's own failure; becomes a `Failure` in the ledger."""
 
-    def __init__(self, reason: Reason, detail: str = "") -> None:
+    def __init__(self, reason: Reason, detail: str = "", printed: str = "") -> None:
+        """printed: text that the candidate printed before."""
         super().__init__(f"{reason.value}: {detail}" if detail else reason.value)
         self.reason = reason
         self.detail = detail
+        self.printed = printed
 
 
 class SandboxError(AsiaError):

@@ -78,15 +78,16 @@ def test_the_loop_is_that_of_plant_and_controller(problem: Problem, evaluator: E
         for b in fold.held_out
     ]
     assert found.outcome.value == pytest.approx(np.mean(parts))
-    assert evaluator.objection(PI, found.folds) is None
+    assert evaluator.objection(PI, found) is None
 
 
 def test_every_scenario_begins_with_a_fresh_controller(evaluator: Evaluator) -> None:
     first = evaluator.evaluate(PI)
-    again = evaluator.models.simulate(
-        PI, [first.folds[0].model], [b for f in evaluator.data.folds for b in f.held_out]
-    )
-    assert np.array_equal(again[0][0], first.folds[0].y_hat[0])
+    record, folds = first.folds[0], evaluator.data.folds
+    model = first.artifacts.get(record.model)
+    again = evaluator.models.simulate(PI, [model], [b for f in folds for b in f.held_out])
+    y_hat = first.artifacts.get_arrays(record.y_hat, folds[0].shapes)
+    assert np.array_equal(again[0][0], y_hat[0])
 
 
 @pytest.mark.parametrize(
@@ -207,7 +208,7 @@ def test_a_controller_cannot_carry_state_between_scenarios(evaluator: Evaluator)
     )
     found = evaluator.evaluate(source)
     assert isinstance(found.outcome, Score)
-    failure = evaluator.objection(source, found.folds)
+    failure = evaluator.objection(source, found)
     assert failure is not None
 
 

@@ -93,7 +93,7 @@ def test_an_honest_candidate_is_scored_without_an_alarm(name: str, windows: bool
     found = evaluator.evaluate(source)
     assert isinstance(found.outcome, Score), found.outcome
     assert found.outcome.value < most
-    assert evaluator.objection(source, found.folds) is None
+    assert evaluator.objection(source, found) is None
 
 
 def test_every_candidate_has_a_file() -> None:

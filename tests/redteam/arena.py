@@ -137,7 +137,7 @@ def _observe(
         # As in a search, a score that would win is checked.
         least = honest if attack.folds != 1 else 0.0
         if isinstance(outcome, Score) and outcome.value < least:
-            outcome = evaluator.objection(source, evaluation.folds) or outcome
+            outcome = evaluator.objection(source, evaluation) or outcome
         unconfirmed = ""
         if isinstance(outcome, Score) and outcome.value < least and not unchecked:
             plain = fill_in(HONEST, given.source, problem)
@@ -178,7 +178,7 @@ def _unconfirmed(
     gain = share_gained(before.outcome.value, found.outcome.value)
     try:
         y_hats = [
-            simulated(evaluator, text, [fold.model for fold in each.folds], blocks)
+            simulated(evaluator, text, [each.artifacts.get(f.model) for f in each.folds], blocks)
             for text, each in ((honest, before), (source, found))
         ]
     except CandidateError as error:

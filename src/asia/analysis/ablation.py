@@ -20,7 +20,7 @@ from asia.judge.scoring.outcome import Failure
 from asia.judge.scoring.repeated_fits import Attribution, attribute, gain
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
-from asia.ledger.events import Ablated, AblationFit, LeftOut
+from asia.ledger.events import Ablated, Fit, LeftOut
 from asia.ledger.view import Experiment
 from asia.problem.load import load_lock
 from asia.search.run import LOCK, make_evaluator
@@ -182,7 +182,7 @@ def _imports_first(statements: Iterable[ast.stmt]) -> list[ast.stmt]:
 # It reads training records alone.
 
 
-OnFit = Callable[[AblationFit, int, int], None]
+OnFit = Callable[[Fit, int, int], None]
 
 _WINNER = "the winner"
 _BASELINE = "the baseline"
@@ -301,7 +301,7 @@ class _Ablation:
     def _fit_all(self, variants: list[Variant]) -> dict[str, Array]:
         """V of each over the seeds, a single value where fits do not depend on them."""
         view = self.chain.view
-        known = {(fit.digest, fit.repeat): fit for fit in view.ablation_fits}
+        known = {(fit.digest, fit.seed): fit for fit in view.fits if fit.purpose == "ablation"}
         in_search = {
             (e.proposed.digest, tuple(fold.value for fold in e.score.folds))
             for e in view.finished
@@ -311,7 +311,7 @@ class _Ablation:
         total, done = len(different) * self.seeds, 0
         with self.evaluator.workers.ready_workers():
             for digest, variant in different.items():
-                before: AblationFit | None = None
+                before: Fit | None = None
                 for repeat in range(1, self.seeds + 1):
                     done += 1
                     fit = known.get((digest, repeat))
@@ -336,13 +336,16 @@ class _Ablation:
             values[variant.name] = np.array([fit.value for fit in found[: 1 if alike else None]])
         return values
 
-    def _fit(self, variant: Variant, repeat: int) -> AblationFit:
+    def _fit(self, variant: Variant, repeat: int) -> Fit:
         begin = time.monotonic()
         outcome = self.evaluator.evaluate(variant.source, repeat).outcome
         seconds = time.monotonic() - begin
         source = self.store.put(variant.source.encode())
-        identity = variant.name, source, variant.digest, repeat
+        fit = Fit(
+            repeat, "ablation", variant=variant.name, source=source, digest=variant.digest,
+            seconds=seconds,
+        )  # fmt: skip
         if isinstance(outcome, Failure):
-            return AblationFit(*identity, failed=outcome.reason.value, seconds=seconds)
+            return replace(fit, failed=outcome.reason.value)
         folds = tuple(fold.value for fold in outcome.folds)
-        return AblationFit(*identity, outcome.value, folds, seconds=seconds)
+        return replace(fit, value=outcome.value, folds=folds)

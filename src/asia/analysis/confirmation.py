@@ -14,7 +14,7 @@ from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import derive_seed, same_simulations
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.outcome import Score
+from asia.judge.scoring.outcome import Failure
 from asia.judge.scoring.repeated_fits import (
     Interval,
     RepeatedFits,
@@ -28,7 +28,7 @@ from asia.judge.scoring.repeated_fits import (
 )
 from asia.ledger.artifacts import Store, without_artifacts
 from asia.ledger.chain import Chain
-from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Repeated
+from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Fit
 from asia.ledger.simulated import fold_outputs
 from asia.ledger.verification import check_lock
 from asia.ledger.view import Experiment, SearchView
@@ -49,7 +49,7 @@ class TriedCandidate:
     experiment: int
     first: RepeatedFits
     """The fit of the search."""
-    repeats: tuple[Repeated, ...] = ()
+    repeats: tuple[Fit, ...] = ()
     """Fits from other seeds; () of a candidate that was not repeated."""
 
     @property
@@ -62,11 +62,11 @@ class TriedCandidate:
         """Its repeats, or the first fit if all are equal; None if all repeats failed."""
         if self.deterministic:
             return self.first
-        sound = [(r.outcome, r.blocks) for r in self.repeats if isinstance(r.outcome, Score)]
+        sound = [r for r in self.repeats if r.value is not None]
         if not sound:
             return None
-        values = np.array([[fold.value for fold in score.folds] for score, _ in sound])
-        return RepeatedFits(values, even_blocks([blocks for _, blocks in sound]))
+        values = np.array([r.folds for r in sound])
+        return RepeatedFits(values, even_blocks([r.blocks for r in sound]))
 
 
 def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int) -> Confirmed:
@@ -90,7 +90,7 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
     for number in order:
         fits, repeats = judged[number], repeated[number].repeats
         deterministic = repeated[number].deterministic
-        failed = sum(not isinstance(r.outcome, Score) for r in repeats)
+        failed = sum(r.value is None for r in repeats)
         candidates.append(
             ConfirmedCandidate(
                 experiment=number,
@@ -147,7 +147,7 @@ def even_blocks(each: Sequence[Sequence[Sequence[float]]]) -> Array:
 # the seeds whether the test was opened or not; the event says that it came after.
 
 
-OnRepeat = Callable[[Repeated, int, int], None]
+OnRepeat = Callable[[Fit, int, int], None]
 
 
 def confirm(
@@ -222,10 +222,14 @@ class _Confirmation:
     seeds: int
     on_repeat: OnRepeat
 
+    @property
+    def _repeats(self) -> list[Fit]:
+        return [fit for fit in self.chain.view.fits if fit.purpose == "confirmation"]
+
     def repeat_all(self, chosen: list[Experiment]) -> None:
         """Fit all seeds of each candidate in sequence."""
-        total, done, folds = len(chosen) * self.seeds, 0, self.evaluator.data.folds
-        known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
+        total, done, data = len(chosen) * self.seeds, 0, self.evaluator.data
+        known = {(fit.experiment, fit.seed): fit for fit in self._repeats}
         with self.evaluator.workers.ready_workers():
             for experiment in chosen:
                 source = self.store.text(experiment.source)
@@ -236,13 +240,19 @@ class _Confirmation:
                         begin = time.monotonic()
                         found = self.evaluator.evaluate(source, repeat)
                         seconds = time.monotonic() - begin
-                        event = Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
-                        if isinstance(found.outcome, Score):
-                            before = fold_outputs(self.store, experiment, folds)
+                        event = Fit(
+                            repeat, "confirmation", experiment=experiment.number, seconds=seconds
+                        )
+                        if isinstance(found.outcome, Failure):
+                            event = replace(event, failed=found.outcome.reason.value)
+                        else:
+                            y_hat = fold_outputs(found.artifacts, found.folds, data.folds)
                             event = replace(
                                 event,
-                                blocks=self._blocks(found.y_hats),
-                                same=same_simulations(before, found.y_hats),
+                                value=found.outcome.value,
+                                folds=tuple(fold.value for fold in found.outcome.folds),
+                                blocks=self._blocks(y_hat),
+                                same=same_simulations(experiment.folds, found.folds),
                             )
                         self.chain.append(event)
                         self.on_repeat(event, done, total)
@@ -266,11 +276,9 @@ class _Confirmation:
         """The first fit of a candidate and all that was repeated of it."""
         assert experiment.score is not None
         values = np.array([[fold.value for fold in experiment.score.folds]])
-        found = fold_outputs(self.store, experiment, self.evaluator.data.folds)
+        found = fold_outputs(self.store, experiment.folds, self.evaluator.data.folds)
         blocks = even_blocks([self._blocks(found)])
         repeats = tuple(
-            r
-            for r in self.chain.view.repeats
-            if r.experiment == experiment.number and r.repeat <= self.seeds
+            r for r in self._repeats if r.experiment == experiment.number and r.seed <= self.seeds
         )
         return TriedCandidate(experiment.number, RepeatedFits(values, blocks), repeats)

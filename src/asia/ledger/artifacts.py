@@ -4,16 +4,13 @@ import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from asia._files import open_ordinary
-from asia.data.trajectory import Array
 from asia.errors import UserError
+from asia.judge.evaluation.artifacts import ArtifactStore
 from asia.ledger.chain import write_whole, writing
 
 MOST_BYTES = 1 << 30
@@ -29,7 +26,7 @@ def without_artifacts(directory: Path) -> str:
     )
 
 
-class Store:
+class Store(ArtifactStore):
     """`<run>/artifacts/<sha256>`; written and synced before a record names it."""
 
     def __init__(self, directory: Path) -> None:
@@ -74,21 +71,6 @@ class Store:
             return self.get(digest).decode()
         except UnicodeDecodeError:
             raise UserError(f"artifact {digest} is not text") from None
-
-    def put_arrays(self, arrays: Sequence[Array]) -> str:
-        """Raw little-endian float64, one array after the other."""
-        return self.put(b"".join(np.ascontiguousarray(a, "<f8").tobytes() for a in arrays))
-
-    def get_arrays(self, digest: str, shapes: Sequence[tuple[int, ...]]) -> tuple[Array, ...]:
-        """The arrays of `put_arrays`, whose shapes the caller knows."""
-        flat = np.frombuffer(self.get(digest), "<f8")
-        ends = np.cumsum([int(np.prod(s)) for s in shapes])
-        if len(ends) == 0 or ends[-1] != len(flat):
-            raise UserError(f"artifact {digest} has {len(flat)} numbers, expected {shapes}")
-        return tuple(
-            part.reshape(shape)
-            for part, shape in zip(np.split(flat, ends[:-1]), shapes, strict=True)
-        )
 
 
 def _read(path: str) -> bytes:

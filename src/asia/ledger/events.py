@@ -13,16 +13,14 @@ from typing import Annotated, Any, Literal
 from pydantic import AliasChoices, Field, TypeAdapter
 
 from asia._timer import TimeSpent
+from asia.judge.evaluation.artifacts import ArtifactName
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.euclidean_error import MeeTable
 from asia.judge.scoring.outcome import Failure, Outcome, TestScore
 from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
-from asia.judge.scoring.residuals import Diagnostics
 from asia.problem.protocol import EarlyStopping, ShownResidual
-
-ArtifactName = str
-"""sha256 of an artifact of the run."""
 
 
 def _omitted(default: object) -> Any:
@@ -30,25 +28,52 @@ def _omitted(default: object) -> Any:
     return Field(exclude_if=lambda value: value == default)
 
 
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
 _FailedChecks = Annotated[tuple[str, ...], _omitted(())]
 
-# The winner with parts taken back, fitted again, and what the gain is due to.
+# Fits besides the first one of a candidate.
 
 
 @dataclass(frozen=True)
-class AblationFit:
-    """A variant of the winner fitted on every fold, from a seed that the evaluator chose."""
+class Fit:
+    """A candidate fitted once more, from a seed that the evaluator chose.
 
-    variant: str
-    source: ArtifactName
-    digest: str
-    repeat: int
-    """Number of the seed, 1-based, the same for all variants."""
-    value: float | None = None
-    folds: tuple[float, ...] = ()
-    failed: str = ""
-    seconds: float = 0.0
-    event: Literal["ablation_fit"] = "ablation_fit"
+    Retests, confirmations and ablations are fitted on every fold. A refit is fitted on all training
+    records. A repetition is fitted on one fold, with the seed of the first fit.
+    """
+
+    seed: int
+    """Number of the seed; 0 is that of the search."""
+    purpose: Literal["retest", "confirmation", "ablation", "refit", "repetition"]
+    value: _Finite | None = None
+    """V; of a refit its error on the training records in the metric of V, of a repetition its error
+    over that of the first fit. None where there is none."""
+    folds: Annotated[tuple[_Finite, ...], _omitted(())] = ()
+    failed: Annotated[str, _omitted("")] = ""
+    """Why it is not used; "" where nothing speaks against it."""
+    experiment: Annotated[int, _omitted(0)] = 0
+    """The candidate, of a confirmation."""
+    variant: Annotated[str, _omitted("")] = ""
+    """Name of the variant of the winner, of an ablation."""
+    source: Annotated[ArtifactName, _omitted("")] = ""
+    """Source of that variant."""
+    digest: Annotated[str, _omitted("")] = ""
+    """Digest of its normalised AST."""
+    fold: Annotated[int, _omitted(0)] = 0
+    """The fold of a repetition, 1-based."""
+    blocks: Annotated[tuple[tuple[float, ...], ...], _omitted(())] = ()
+    """Part of each block of held-out samples in the score of a confirmation, one tuple a fold."""
+    same: Annotated[bool, _omitted(False)] = False
+    """True if every simulation is bitwise that of the first fit: the seed has no effect."""
+    disagreement: Annotated[float | None, _omitted(None)] = None
+    """Root mean square of the difference of a refit from the ensemble on the training records, over
+    the standard deviation of the output, mean over the outputs; None where one of the two gives no
+    answer."""
+    seconds: Annotated[float, _omitted(0.0)] = field(default=0.0, compare=False)
+    event: Literal["fit"] = "fit"
+
+
+# What the gain of the winner is due to.
 
 
 @dataclass(frozen=True)
@@ -147,22 +172,6 @@ class SessionEnded:
 
 
 @dataclass(frozen=True)
-class Repeated:
-    """A candidate fitted once more on every fold, from a seed that the evaluator chose."""
-
-    experiment: int
-    repeat: int
-    """Number of the seed, 1-based, the same for all candidates; the search's own fit is none."""
-    outcome: Outcome
-    blocks: tuple[tuple[float, ...], ...] = ()
-    """Part of each block of held-out samples in the score, one tuple a fold."""
-    same: bool = False
-    """True if every simulation is bitwise that of the search: the seed has no effect."""
-    seconds: float = 0.0
-    event: Literal["repeated"] = "repeated"
-
-
-@dataclass(frozen=True)
 class ConfirmedCandidate:
     """One candidate with its repeated fits."""
 
@@ -236,19 +245,6 @@ Use = Literal["ensemble", "refit", "stack"]
 
 
 @dataclass(frozen=True)
-class RefitStart:
-    """One fit of the winner to all training records, compared with the fold models."""
-
-    error: float | None
-    """Its error on the training records, in the metric of V; None where it gives no answer."""
-    disagreement: float | None
-    """Root mean square of its difference from the ensemble there, over the standard deviation of
-    the output, mean over the outputs; None where one of the two gives no answer."""
-    objection: str = ""
-    """Why it is not used; "" where nothing speaks against it."""
-
-
-@dataclass(frozen=True)
 class RefitCheck:
     """Errors of the fold models and of each start of the refit on the training records."""
 
@@ -260,7 +256,7 @@ class RefitCheck:
     """Root mean square of the difference of a fold model from the mean of the others, over the
     standard deviation of the output, mean over fold models and outputs; None where one gives no
     answer, or where there is one fold."""
-    starts: tuple[RefitStart, ...]
+    starts: tuple[Fit, ...]
     kept: int | None = None
     """The start that is the refit, 1-based; None where there is no refit."""
 
@@ -441,40 +437,6 @@ class Proposed:
 
 
 @dataclass(frozen=True)
-class FoldEvidence:
-    """Artifacts and training-side evidence of one fold."""
-
-    model: ArtifactName
-    y_hat: ArtifactName
-    curve: ArtifactName
-    """The candidate's log."""
-    diagnostics: Diagnostics
-    fit_seconds: float
-    validation_scores: int = 0
-    """Number of requests of the fit for its score on the held-out part."""
-    findings: ArtifactName | None = None
-    """`asia.judge.evaluation.results.FoldFindings`; None in older ledgers."""
-    machine: Annotated[str, _omitted("")] = ""
-    """The machine that fitted it; "" for the search's own."""
-    isolation: Annotated[str, _omitted("")] = ""
-    """The level in force on that machine; "" for the search's own, see `Evaluated`."""
-    attempt: Annotated[int, _omitted(0)] = 0
-    """Seed of the fit in older ledgers, where the first one fitted the fold's own data badly."""
-
-
-@dataclass(frozen=True)
-class Retest:
-    """A candidate about to be kept, fitted again on every fold from another seed."""
-
-    value: float | None = None
-    folds: tuple[float, ...] = ()
-    failed: str = ""
-    same: bool = False
-    """True if every simulation is bitwise that of the first fit: the seed has no effect."""
-    seconds: float = field(default=0.0, compare=False)
-
-
-@dataclass(frozen=True)
 class Variant:
     """A setting that a candidate left open, or its linear model, compared on inner held-out parts
     of the training records."""
@@ -499,7 +461,7 @@ class Evaluated:
     experiment: int
     status: Status
     outcome: Outcome
-    folds: tuple[FoldEvidence, ...]
+    folds: tuple[FoldRecord, ...]
     output: ArtifactName | None
     """Its prints; None where it printed nothing."""
     seconds: float
@@ -516,7 +478,7 @@ class Evaluated:
     """Process ids of workers that the kernel did not let end."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
     """Profile of the time since the last event with a profile; () in older ledgers."""
-    retests: tuple[Retest, ...] = ()
+    retests: tuple[Fit, ...] = ()
     """Its fits from other seeds; () where it was not about to be kept."""
     threshold: Annotated[
         float | None, Field(validation_alias=AliasChoices("threshold", "floor"))
@@ -546,7 +508,7 @@ class Landed:
 
     experiment: int
     outcome: Outcome
-    folds: tuple[FoldEvidence, ...]
+    folds: tuple[FoldRecord, ...]
     output: ArtifactName | None
     seconds: float
     """Duration of the fit and its simulations."""
@@ -607,16 +569,6 @@ class Noted:
 
 
 @dataclass(frozen=True)
-class Again:
-    """A fold of the winner fitted a second time, with the same seed."""
-
-    fold: int
-    ratio: float | None
-    """Its error over that of the first fit, 1 where the fit repeats itself."""
-    failed: str = ""
-
-
-@dataclass(frozen=True)
 class Refitted:
     """The winner fitted once more on all training data."""
 
@@ -625,8 +577,8 @@ class Refitted:
     """None when that fit failed, or when no start is worth using."""
     detail: str
     """Why there is none."""
-    again: Again | None = None
-    """The second fit of one fold; None in older ledgers."""
+    again: Fit | None = None
+    """The repetition of one fold; None in older ledgers."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
     check: RefitCheck | None = None
     """Comparison of the refit with the fold models; None in older ledgers."""
@@ -786,7 +738,7 @@ class Validated:
 Event = (
     Started | ReferenceScored | Proposed | Evaluated | Landed | Extended | Stopped
     | Resumed | Steered | Noted | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
-    | GuardLooked | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
+    | GuardLooked | Unsealing | Unsealed | Fit | Confirmed | Ablated | Validated
 )  # fmt: skip
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean, variance
-from typing import Literal, TypeVar, cast
+from typing import Literal, cast
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, Statement, stated
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
-from asia.judge.evaluation.results import FoldFindings
+from asia.judge.evaluation.results import FoldFindings, FoldRecord, get_findings
 from asia.judge.scoring.checks.check import Check, CheckCurve
 from asia.judge.scoring.repeated_fits import significance_threshold
-from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
+from asia.judge.scoring.residuals import Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Variant
 from asia.ledger.run import Run
@@ -135,19 +135,6 @@ class DrawnCheck:
 
 
 _DRAWN: TypeAdapter[tuple[DrawnCheck, ...]] = TypeAdapter(tuple[DrawnCheck, ...])
-_FINDINGS: TypeAdapter[FoldFindings] = TypeAdapter(FoldFindings)
-_Kept = TypeVar("_Kept")
-
-
-def _read(store: Store, name: str, form: TypeAdapter[_Kept]) -> _Kept:
-    """Raises UserError where the artifact is missing or this version cannot read it."""
-    try:
-        return form.validate_json(store.get(name))
-    except ValidationError:
-        raise UserError(
-            f"artifact {name} was written by another version of ASIA: read it with that one"
-        ) from None
-
 
 # More curves of a check cannot be distinguished in a drawing.
 _MOST_CURVES = 5
@@ -188,17 +175,7 @@ def _rounded(values: Array) -> tuple[float, ...]:
 
 def get_curves(store: Store, name: str) -> tuple[DrawnCheck, ...]:
     """Those of an artifact. Raises UserError where it is missing or this version cannot read it."""
-    return _read(store, name, _DRAWN)
-
-
-def put_findings(store: Store, findings: FoldFindings) -> str:
-    """Keep them; the name of the artifact."""
-    return store.put(_FINDINGS.dump_json(findings))
-
-
-def get_findings(store: Store, name: str) -> FoldFindings:
-    """Those of an artifact. Raises UserError where it is missing or this version cannot read it."""
-    return _read(store, name, _FINDINGS)
+    return store.parse(name, _DRAWN)
 
 
 def findings_of(store: Store, experiment: Experiment) -> tuple[FoldFindings, ...]:
@@ -262,19 +239,6 @@ class RunSettings:
 
 
 @dataclass(frozen=True)
-class FoldShown:
-    """Evidence on one fold of an experiment."""
-
-    held_out: str
-    """Description of the held-out part; "" in older ledgers."""
-    value: float | None
-    """V of the fold; None where it is not reported."""
-    diagnostics: Diagnostics
-    fit_seconds: float
-    findings: FoldFindings | None
-
-
-@dataclass(frozen=True)
 class ComparedScore:
     """Difference of V to that of another experiment."""
 
@@ -293,8 +257,14 @@ class ExperimentEvidence:
     """Evidence on one experiment besides its score."""
 
     setting: RunSettings
-    folds: tuple[FoldShown, ...]
+    folds: tuple[FoldRecord, ...]
     """Its folds; () for a failure."""
+    held_out: tuple[str, ...]
+    """Description of the held-out part of each fold; "" in older ledgers."""
+    values: tuple[float | None, ...]
+    """V of each fold; None where it is not reported."""
+    findings: tuple[FoldFindings, ...]
+    """Findings of each fold; () in older ledgers."""
     residuals: tuple[SharedResidual, ...]
     """Ranges in which it is too high or too low on the training records, largest first."""
     held_out_residuals: tuple[SharedResidual, ...]
@@ -311,11 +281,6 @@ class ExperimentEvidence:
     """The fold that failed, in words; "" where none did, and in older ledgers."""
     variants: tuple[Variant, ...] = ()
     """Variants that were compared before it was scored."""
-
-    @property
-    def findings(self) -> list[FoldFindings]:
-        """Findings of the folds that have some."""
-        return [fold.findings for fold in self.folds if fold.findings is not None]
 
     @property
     def recorded(self) -> bool:
@@ -348,13 +313,6 @@ def evidence_of(
     assert result is not None
     findings = findings_of(store, experiment)
     count = len(result.folds)
-    rows = zip(
-        fold_names or ("",) * count,
-        [f.value for f in score.folds] if score else [None] * count,
-        result.folds,
-        findings if len(findings) == count else [None] * count,
-        strict=True,
-    )
     differences = _differences(experiment, view)
     noise = noise_of_repeats(view, {experiment.number, *(one.experiment for one in differences)})
     printed, failed_fold = "", ""
@@ -365,10 +323,10 @@ def evidence_of(
         failed_fold = f"fold {failed}, {fold_names[failed - 1]}"
     return ExperimentEvidence(
         setting=setting,
-        folds=tuple(
-            FoldShown(name, value, kept.diagnostics, kept.fit_seconds, one)
-            for name, value, kept, one in (rows if result.folds else ())
-        ),
+        folds=result.folds,
+        held_out=(fold_names or ("",) * count) if result.folds else (),
+        values=tuple(f.value for f in score.folds) if score and score.folds else (None,) * count,
+        findings=findings if len(findings) == count else (),
         residuals=shared_residuals([one.residuals for one in findings]),
         held_out_residuals=shared_residuals([one.held_out_residuals for one in findings]),
         parameters=parameter_spreads(findings),
@@ -649,7 +607,7 @@ def put_estimates(
 
 def get_estimates(store: Store, name: str) -> EstimatedModel:
     """Those of an artifact. Raises UserError where it is missing or this version cannot read it."""
-    return _read(store, name, _FITTED)
+    return store.parse(name, _FITTED)
 
 
 def identified(run: Run) -> IdentifiedModel | None:

@@ -7,11 +7,11 @@ import numpy as np
 
 from asia.data.segment import Segment
 from asia.data.trajectory import Array, Signal
+from asia.judge.evaluation.artifacts import ArtifactStore
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.outcome import Failure, Score
-from asia.ledger.artifacts import Store
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
-from asia.ledger.view import Experiment
 from asia.problem.folds import Fold
 
 
@@ -78,12 +78,12 @@ def simulated_cases(
 
 
 def fold_outputs(
-    store: Store, experiment: Experiment, folds: Sequence[Fold]
+    store: ArtifactStore, records: Sequence[FoldRecord], folds: Sequence[Fold]
 ) -> tuple[tuple[Array, ...], ...]:
-    """Simulated held-out blocks (H, ny) of each fold, as the search recorded them."""
+    """Simulated held-out blocks (H, ny) of each fold, as they were recorded."""
     return tuple(
         store.get_arrays(record.y_hat, fold.shapes)
-        for record, fold in zip(experiment.folds, folds, strict=True)
+        for record, fold in zip(records, folds, strict=True)
     )
 
 

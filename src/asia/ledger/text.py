@@ -445,19 +445,21 @@ def minima_lines(training_errors: Sequence[float], seeds: Sequence[float] = ()) 
 def _fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str]:
     """Held-out part, V, training error, time and memory with their limits."""
     setting = evidence.setting
-    names = [one_line(fold.held_out, 60) for fold in evidence.folds]
+    names = [one_line(name, 60) for name in evidence.held_out]
     width = max(map(len, names), default=0)
-    for number, (fold, name) in enumerate(zip(evidence.folds, names, strict=True), 1):
-        parts = [] if fold.value is None else [f"V {error_value(fold.value)}"]
+    known = evidence.findings or (None,) * len(names)
+    rows = zip(evidence.folds, names, evidence.values, known, strict=True)
+    for number, (fold, name, value, findings) in enumerate(rows, 1):
+        parts = [] if value is None else [f"V {error_value(value)}"]
         parts.append(f"training error {error_value(fold.diagnostics.train_error)}")
         if measured:
             spent = f"fit {coarse(fold.fit_seconds):g} s, limit {setting.fit_seconds:g} s"
-            if fold.findings is not None and fold.findings.compile_seconds > 0:
-                spent += f" (compilation {coarse(fold.findings.compile_seconds):g} s)"
+            if findings is not None and findings.compile_seconds > 0:
+                spent += f" (compilation {coarse(findings.compile_seconds):g} s)"
             parts.append(spent)
-            if fold.findings is not None and fold.findings.memory_mb is not None:
+            if findings is not None and findings.memory_mb is not None:
                 parts.append(
-                    f"memory {coarse(fold.findings.memory_mb):g} MB, limit {setting.memory_mb} MB"
+                    f"memory {coarse(findings.memory_mb):g} MB, limit {setting.memory_mb} MB"
                 )
         where = f"{name:<{width}}  " if width else ""
         yield f"fold {number}  {where}{'  '.join(parts)}"
@@ -566,8 +568,7 @@ def _folds_text(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
 
 def _printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:
     """The last lines that the fits printed, marked as words of the candidate."""
-    texts = [fold.findings.printed if fold.findings else "" for fold in evidence.folds]
-    texts = texts or [evidence.printed]
+    texts = [findings.printed for findings in evidence.findings] or [evidence.printed]
     for number, text in enumerate(texts, 1):
         lines = last_lines(text, max(2, _MOST_PRINTED // len(texts)))
         if not lines or (number > 1 and text == texts[0]):

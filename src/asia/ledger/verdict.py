@@ -291,7 +291,7 @@ def _honesty(view: SearchView) -> _Findings:
         yield _Finding("Candidates saw their score on the held-out data during training.")
     if start.residuals == "held_out":
         yield _Finding("The agent saw held-out residuals.")
-    if again is not None and (again.ratio is None or abs(again.ratio - 1.0) > REPEATED.level):
+    if again is not None and (again.value is None or abs(again.value - 1.0) > REPEATED.level):
         yield _Finding("A second fit of the winner failed or gave another error.")
     if errors and consistency(best.score.value, errors) < HONEST.level:
         yield _Finding("The error on held-out data is far below that on training data.")

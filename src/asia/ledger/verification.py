@@ -9,14 +9,13 @@ from asia.errors import UserError
 from asia.ledger.artifacts import Artifacts
 from asia.ledger.chain import BEGIN, decode, ledger_of, open_ledger, scan
 from asia.ledger.events import (
-    AblationFit,
     Evaluated,
     Event,
     Exchanged,
+    Fit,
     Landed,
     Proposed,
     Refitted,
-    Repeated,
     Started,
     Streamed,
     TestedModel,
@@ -75,7 +74,7 @@ def verify(
                         raise UserError(
                             f"{where}: experiment {number} occurs twice, or has no proposal"
                         )
-                    case Repeated(experiment=number, repeat=repeat):
+                    case Fit(purpose="confirmation", experiment=number, seed=repeat):
                         has_result = number in proposed and number not in pending
                         if not has_result or (number, repeat) in repeats:
                             raise UserError(
@@ -122,8 +121,10 @@ def _artifacts(event: Event) -> Iterator[str]:
     match event:
         case Started(lessons=str(lessons)):
             yield lessons
-        case Proposed() | AblationFit():
+        case Proposed():
             yield event.source
+        case Fit(source=source) if source:
+            yield source
         case Validated():
             yield event.curves
         case Evaluated() | Landed():

@@ -7,23 +7,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from asia.errors import Reason, UserError
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import (
     Ablated,
-    AblationFit,
     Confirmed,
     Evaluated,
     Event,
     Exchanged,
     Extended,
-    FoldEvidence,
+    Fit,
     GuardLooked,
     Landed,
     Noted,
     Proposed,
     ReferenceScored,
     Refitted,
-    Repeated,
     Resumed,
     SessionEnded,
     SessionStarted,
@@ -93,7 +92,7 @@ class Experiment:
         return outcome if isinstance(outcome, Failure) else None
 
     @property
-    def folds(self) -> tuple[FoldEvidence, ...]:
+    def folds(self) -> tuple[FoldRecord, ...]:
         """Evidence on the fit of each fold; () without a result or a score."""
         return self.result.folds if self.result else ()
 
@@ -160,12 +159,10 @@ class SearchView:
     looked: bool = False
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
-    repeats: tuple[Repeated, ...] = ()
-    """Fits of candidates after the search, from other seeds."""
+    fits: tuple[Fit, ...] = ()
+    """Fits after the search: of its candidates, and of the winner with parts taken back."""
     confirmed: Confirmed | None = None
     """Last confirmation; None if the search continued since."""
-    ablation_fits: tuple[AblationFit, ...] = ()
-    """Fits of the winner with parts taken back, after the search."""
     ablated: Ablated | None = None
     """Last ablation; None if the search continued since."""
     validated: tuple[Validated, ...] = ()
@@ -355,7 +352,7 @@ _COLLECTED: dict[type[Event], str] = {
     ReferenceScored: "references",
     Steered: "notes",
     Noted: "noted",
-    AblationFit: "ablation_fits",
+    Fit: "fits",
     Exchanged: "exchanges",
     SessionStarted: "begun",
     SessionEnded: "sessions",
@@ -377,7 +374,7 @@ class Replay:
     def __init__(self) -> None:
         self._view: SearchView | None = None
         self._experiments: dict[int, Experiment] = {}
-        self._repeats: dict[tuple[int, int], Repeated] = {}
+        self._repeats = set[tuple[int, int]]()
         self._collected: dict[str, list[Event]] = {name: [] for name in _COLLECTED.values()}
 
     @property
@@ -389,7 +386,6 @@ class Replay:
         return replace(
             self._view,
             **collected,
-            repeats=tuple(self._repeats.values()),
             experiments=tuple(self._experiments.values()),
         )
 
@@ -424,10 +420,6 @@ class Replay:
                         "before its proposal"
                     )
                 self._experiments[number] = Experiment(known.proposed, event)
-            case Repeated(experiment=number, repeat=repeat):
-                if (number, repeat) in self._repeats:
-                    raise UserError(f"the ledger has repeat {repeat} of experiment {number} twice")
-                self._repeats[number, repeat] = event
             case Extended():
                 self._view = replace(
                     _continued(view),
@@ -446,6 +438,13 @@ class Replay:
                 validated = [*others, event] if event.record else [event, *others]
                 self._view = replace(view, validated=tuple(validated))
             case _ if type(event) in _COLLECTED:
+                if isinstance(event, Fit) and event.purpose == "confirmation":
+                    number, repeat = event.experiment, event.seed
+                    if (number, repeat) in self._repeats:
+                        raise UserError(
+                            f"the ledger has repeat {repeat} of experiment {number} twice"
+                        )
+                    self._repeats.add((number, repeat))
                 self._collected[_COLLECTED[type(event)]].append(event)
             case _ if type(event) in _LAST:
                 last: dict[str, Any] = {_LAST[type(event)]: event}

@@ -10,7 +10,7 @@ the held-out samples of the folds do not show the gain, or show a loss in one fo
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,12 +19,12 @@ from statistics import fmean
 from asia.agents.view import PARENT
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation, FoldResult, same_simulations
+from asia.judge.evaluation.results import Evaluation, same_simulations
 from asia.judge.scoring.confirmation import ComparedParts, Confirmation, paired_gain
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Proposed, Retest, Status
+from asia.ledger.events import Fit, Proposed, Status
 from asia.ledger.view import Experiment, SearchView
 from asia.search.fair_trial import Tried, first_fit
 from asia.search.pending import retest_fits
@@ -54,7 +54,7 @@ class Decision:
     tried: Tried
     """Its first fit, or why there is no score."""
     status: Status
-    retests: tuple[Retest, ...] = ()
+    retests: tuple[Fit, ...] = ()
     threshold: float | None = None
     """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     deadline: bool = False
@@ -95,17 +95,17 @@ def decide(
         return Decision(tried, status, deadline=timed_out, validation_scores=scores)
     if any(v.chosen and v.name == PARENT for v in tried.variants):
         return Decision(tried, "discard", validation_scores=scores)
-    folds, objected, confirmation = evaluation.folds, None, None
+    objected, confirmation = None, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
     if view.started.by_folds and lowest and view.best and store is not None:
-        doubt = fold_doubt(evaluator, folds, view.best, store)
+        doubt = fold_doubt(evaluator, evaluation, view.best, store)
         if doubt is not None:
             return Decision(tried, doubt, validation_scores=scores)
+    check = partial(evaluator.objection, source, evaluation)
     with ExitStack() as opened:
         if lowest and not evaluator.workers.is_sequential:
             # It is checked whatever the retests say.
-            check = partial(evaluator.objection, source, folds)
             objected = opened.enter_context(evaluator.workers.background(check))
         if view.started.retests:
             decision = _decide_by_retests(evaluator, tried, outcome, view)
@@ -116,7 +116,7 @@ def decide(
             # From other seeds its method is no better. Its own fit is.
             status = "inconclusive"
         if status == "keep" or lowest:
-            failure = evaluator.objection(source, folds) if objected is None else objected.result()
+            failure = check() if objected is None else objected.result()
             if failure is None and confirm is not None:
                 confirmation = confirm(source, evaluation, view)
                 if confirmation is not None and not confirmation.confirmed:
@@ -135,7 +135,7 @@ def decide(
 
 
 def fold_doubt(
-    evaluator: Evaluator, folds: Sequence[FoldResult], best: Experiment, store: Store
+    evaluator: Evaluator, evaluation: Evaluation, best: Experiment, store: Store
 ) -> Status | None:
     """Compare a candidate of lower V with the best one on the held-out samples of the folds:
     `inconclusive` where the gain over all of them is not more than chance, `mixed` where it is and
@@ -145,10 +145,12 @@ def fold_doubt(
         ComparedParts(
             [block.y for block in fold.held_out],
             store.get_arrays(before.y_hat, fold.shapes),
-            after.y_hat,
+            evaluation.artifacts.get_arrays(after.y_hat, fold.shapes),
             fold.scale,
         )
-        for fold, before, after in zip(evaluator.data.folds, best.folds, folds, strict=True)
+        for fold, before, after in zip(
+            evaluator.data.folds, best.folds, evaluation.folds, strict=True
+        )
     ]
     if paired_gain(parts, metric).low <= 0.0:
         return "inconclusive"
@@ -170,7 +172,7 @@ def _decide_by_retests(
         if lead < _WORTH_A_RETEST * threshold or lead <= 0.0:
             status = "discard" if lead <= 0.0 else "inconclusive"
             return Decision(tried, status, threshold=threshold, validation_scores=scores)
-    retests: list[Retest] = []
+    retests: list[Fit] = []
     values, failure = [score.value], None
     most = view.started.retests
     limit, linear = view.started.retest_limit, view.reference_value(LINEAR_REFERENCE)
@@ -182,18 +184,18 @@ def _decide_by_retests(
 
     with retest_fits(evaluator, fit, most) as take:
         for number in range(most):
-            begin = time.monotonic()
+            seed, begin = _FIRST_SEED + number, time.monotonic()
             again = take(number)
             seconds = time.monotonic() - begin
             scores += again.validation_scores
             outcome = again.outcome
             if isinstance(outcome, Failure):
                 failure = outcome.reason
-                retests.append(Retest(failed=failure.value, seconds=seconds))
+                retests.append(Fit(seed, "retest", failed=failure.value, seconds=seconds))
                 break
-            same = same_simulations(first.y_hats, again.y_hats)
+            same = same_simulations(first.folds, again.folds)
             folds = tuple(fold.value for fold in outcome.folds)
-            retests.append(Retest(outcome.value, folds, same=same, seconds=seconds))
+            retests.append(Fit(seed, "retest", outcome.value, folds, same=same, seconds=seconds))
             if same:
                 # One fit shows it: the others would be the same.
                 break

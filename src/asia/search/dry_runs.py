@@ -22,10 +22,11 @@ def dry_run(run: Run, source: str, isolation: Isolation | None = None) -> DryRun
     Raises UserError where the data of the run are not what they were."""
     problem = load_lock(run.directory / LOCK)
     limit = problem.budget.fit_seconds
-    short = made_up_fold(make_folds(problem.train, problem.protocol)[0], problem.protocol)
+    fold = make_folds(problem.train, problem.protocol)[0]
+    short = made_up_fold(fold, problem.protocol)
     budget = replace(problem.budget, fit_seconds=allowed_seconds(limit))
-    allowed = replace(problem, budget=budget, train=short.fold.train)
+    allowed = replace(problem, budget=budget, train=short.train)
     evaluator = make_evaluator(
-        allowed, run.view, folds=[short.fold], without=SuspicionKind, isolation=isolation
+        allowed, run.view, folds=[short], without=SuspicionKind, isolation=isolation
     )
-    return run_dry(evaluator, short, source, limit)
+    return run_dry(evaluator, fold, source, limit)

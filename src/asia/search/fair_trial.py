@@ -25,13 +25,11 @@ from asia.candidate import source_digest
 from asia.errors import Reason
 from asia.judge.evaluation import references
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.results import Evaluation
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
-from asia.ledger.evidence import get_findings
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.folds import Fold
 
 PROPOSED = "as proposed"
 """Variant that is the candidate itself."""
@@ -73,7 +71,7 @@ def first_fit(
     source = next((sources[v.name] for v in variants if v.chosen), source)
     parent = _parent(view, proposed)
     if begins.get(PARENT) == source and parent is not None and parent.result and store is not None:
-        return Tried(source, evaluation_of(parent.result, evaluator.data.folds, store), variants)
+        return Tried(source, evaluation_of(parent.result, store), variants)
     return Tried(source, evaluator.evaluate(source), variants)
 
 
@@ -91,28 +89,15 @@ def choice(
     return sources, variants
 
 
-def evaluation_of(landed: Landed | Evaluated, folds: Sequence[Fold], store: Store) -> Evaluation:
-    """The evaluation that was kept; folds: those of the problem. Raises UserError where an artifact
-    is missing."""
-    results: list[FoldResult] = []
-    if isinstance(landed.outcome, Score):
-        for score, kept, fold in zip(landed.outcome.folds, landed.folds, folds, strict=True):
-            results.append(
-                FoldResult(
-                    score=score,
-                    model=store.get(kept.model),
-                    y_hat=store.get_arrays(kept.y_hat, fold.shapes),
-                    curve=np.frombuffer(store.get(kept.curve), "<f8").reshape(-1, 2),
-                    diagnostics=kept.diagnostics,
-                    seconds=kept.fit_seconds,
-                    validation_scores=kept.validation_scores,
-                    findings=get_findings(store, kept.findings) if kept.findings else None,
-                    machine=kept.machine,
-                    isolation=kept.isolation,
-                )
-            )
-    output = store.text(landed.output) if landed.output else ""
-    return Evaluation(landed.outcome, tuple(results), output, landed.validation_scores)
+def evaluation_of(result: Landed | Evaluated, store: Store) -> Evaluation:
+    """The evaluation that was recorded. Raises UserError where its output is missing."""
+    return Evaluation(
+        result.outcome,
+        result.folds if isinstance(result.outcome, Score) else (),
+        store.text(result.output) if result.output else "",
+        result.validation_scores,
+        store,
+    )
 
 
 def _begins_with(

@@ -20,7 +20,6 @@ from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
-    FoldResult,
     Refit,
     RefitModel,
     consistency,
@@ -29,10 +28,9 @@ from asia.judge.evaluation.results import (
 from asia.judge.scoring.outcome import Failure, score_fold
 from asia.ledger.artifacts import Store
 from asia.ledger.events import (
-    Again,
     Feedback,
+    Fit,
     RefitCheck,
-    RefitStart,
     Refitted,
     Stack,
     StackMember,
@@ -45,6 +43,7 @@ from asia.problem.check import feedback_pairs
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts
+from asia.search.fair_trial import evaluation_of
 from asia.search.guard import Gate
 from asia.search.stress import StressRoom, bounded_model
 
@@ -117,7 +116,7 @@ def is_worthy(check: RefitCheck) -> bool:
 
 def is_as_good(check: RefitCheck) -> bool:
     """Return whether its training error is hardly above that of the ensemble, if that has one."""
-    error = None if check.kept is None else check.starts[check.kept - 1].error
+    error = None if check.kept is None else check.starts[check.kept - 1].value
     ensemble = check.ensemble_error
     return error is not None and (ensemble is None or error <= NOT_WORSE * ensemble + NEGLIGIBLE)
 
@@ -159,7 +158,7 @@ class _Comparison:
         self, evaluator: Evaluator, source: str, metric: str, fold_models: Sequence[bytes]
     ) -> None:
         self._evaluator, self._source, self._metric = evaluator, source, metric
-        self._starts: list[RefitStart] = []
+        self._starts: list[Fit] = []
         self.causes: list[str] = []
         """Objections against each start, in a few words."""
         answers = evaluator.models.simulate_training(source, fold_models)
@@ -181,9 +180,9 @@ class _Comparison:
         """Return the findings so far. The start with the lowest error that nothing speaks against
         is kept."""
         errors = [
-            (start.error, number)
+            (start.value, number)
             for number, start in enumerate(self._starts, 1)
-            if start.error is not None and not start.objection
+            if start.value is not None and not start.failed
         ]
         return RefitCheck(
             fold_errors=self._fold_errors,
@@ -195,14 +194,15 @@ class _Comparison:
 
     def add(self, model: bytes | CandidateError) -> None:
         """Note one start."""
+        start = Fit(len(self._starts), "refit")
         if isinstance(model, CandidateError):
             self.causes.append(cause_of(model))
-            self._starts.append(RefitStart(None, None, f"its fit failed: {model}"))
+            self._starts.append(replace(start, failed=f"its fit failed: {model}"))
             return
         (answers,) = self._evaluator.models.simulate_training(self._source, [model])
         if isinstance(answers, CandidateError):
             self.causes.append(cause_of(answers))
-            self._starts.append(RefitStart(None, None, f"its simulation failed: {answers}"))
+            self._starts.append(replace(start, failed=f"its simulation failed: {answers}"))
             return
         error = self._error(answers)
         usual = [one for one in self._fold_errors if one is not None]
@@ -222,7 +222,7 @@ class _Comparison:
                 cause = f"gives invalid simulations ({error_line(text)})"
         self.causes.append(cause)
         apart = None if self._mean is None else self._apart(answers, self._mean)
-        self._starts.append(RefitStart(error, apart, text))
+        self._starts.append(replace(start, value=error, failed=text, disagreement=apart))
 
     def _error(self, answers: Answers) -> float | None:
         y = [block.y for block in self._evaluator.data.training_blocks]
@@ -294,9 +294,9 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         why = f"{why[:1].upper()}{why[1:]}."
     else:
         kept = check.starts[(check.kept or 0) - 1]
-        errors = f"{number(kept.error)}, the ensemble's {number(check.ensemble_error)}"
+        errors = f"{number(kept.value)}, the ensemble's {number(check.ensemble_error)}"
         apart, usual, ensemble = kept.disagreement, check.fold_disagreement, check.ensemble_error
-        error = kept.error or 0.0
+        error = kept.value or 0.0
         if is_worthy(check):
             if ensemble is None or len(check.fold_errors) < 3:
                 # With two folds a fold model has seen half of the data only.
@@ -397,14 +397,9 @@ def _stack_of(
 
 def _passes(evaluator: Evaluator, experiment: Experiment, store: Store) -> bool:
     """Whether a candidate answers like a model."""
-    score, each = experiment.score, zip(experiment.folds, evaluator.data.folds, strict=True)
-    assert score is not None
-    folds = [
-        FoldResult(one, store.get(kept.model), store.get_arrays(kept.y_hat, fold.shapes),
-                   np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
-        for one, (kept, fold) in zip(score.folds, each, strict=True)
-    ]  # fmt: skip
-    return evaluator.objection(store.text(experiment.source), folds) is None
+    assert experiment.result is not None
+    evaluation = evaluation_of(experiment.result, store)
+    return evaluator.objection(store.text(experiment.source), evaluation) is None
 
 
 def refit_winner(
@@ -459,15 +454,16 @@ def refit_winner(
     estimates: str | None = None
     with diagnostic("parameter intervals", failed):
         estimates = _kept_estimates(store, checked, best)
-    again: Again | None = None
+    again: Fit | None = None
     if refit is not None:
         # The second fit of one fold, compared with the first one.
         first, second = best.score.folds[refit.fold - 1].value, refit.again
         if isinstance(second, Failure):
-            again = Again(refit.fold, None, second.reason.value)
+            again = Fit(0, "repetition", failed=second.reason.value, fold=refit.fold)
         else:
-            value = second.score.value
-            again = Again(refit.fold, value / first if first > 0 else float(value == first))
+            value = second.value
+            ratio = value / first if first > 0 else float(value == first)
+            again = Fit(0, "repetition", ratio, fold=refit.fold)
     refitted = Refitted(
         experiment=best.number,
         model=None if checked.model is None else store.put(checked.model),

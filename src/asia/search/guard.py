@@ -14,7 +14,7 @@ from asia.data.trajectory import Array
 from asia.errors import CandidateError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import MEAN_REFERENCE
-from asia.judge.evaluation.results import Evaluation, FoldResult, mean_simulation
+from asia.judge.evaluation.results import Evaluation, mean_simulation
 from asia.judge.scoring.confirmation import (
     ComparedParts,
     Confirmation,
@@ -75,10 +75,10 @@ class Gate:
         if before is None:
             return None
         try:
-            sequential = self._sequential(source, evaluation.folds, view)
+            sequential = self._sequential(source, view)
             y_hat = None
             if view.started.guard_digest is not None:
-                models = [fold.model for fold in evaluation.folds]
+                models = [evaluation.artifacts.get(fold.model) for fold in evaluation.folds]
                 y_hat = simulated(self.evaluator, source, models, self._blocks)
             found = self._judged(since, before, score.value, y_hat, view)
         except CandidateError as error:
@@ -163,9 +163,7 @@ class Gate:
         found = self._gain(self._simulation(since, view), y_hat)
         return Confirmation(since, gain, found, apart=apart)
 
-    def _sequential(
-        self, source: str, folds: Sequence[FoldResult], view: SearchView
-    ) -> float | None:
+    def _sequential(self, source: str, view: SearchView) -> float | None:
         """V with the folds fitted one after the other, each in namespaces of its own, so that none
         can tell another one anything; None where they were, or where no code but that of the
         library runs. Raises CandidateError."""
@@ -173,12 +171,12 @@ class Gate:
             return None
         values: list[float] = []
         random = np.random.default_rng(self.evaluator.models.check_seed(source, "sequential"))
-        for place in random.permutation(len(folds)).tolist():
+        for place in random.permutation(len(self.evaluator.data.folds)).tolist():
             with self.evaluator.workers.fresh_workers():
-                result = self.evaluator.fit_fold(source, place)
-            if isinstance(result, Failure):
-                raise CandidateError(result.reason, result.detail)
-            values.append(result.score.value)
+                outcome = self.evaluator.fit_fold(source, place)
+            if isinstance(outcome, Failure):
+                raise CandidateError(outcome.reason, outcome.detail)
+            values.append(outcome.value)
         return float(np.mean(values))
 
     @cached_property

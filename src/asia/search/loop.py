@@ -305,7 +305,7 @@ class Loop:
         )
         evaluation = decision.evaluation
         with self.watch.activity(Activity.LEDGER):
-            folds = keep_folds(self.store, evaluation.folds)
+            folds = keep_folds(self.store, evaluation)
             output = keep_output(self.store, evaluation.output)
             scored = keep_source(self.store, decision.tried, proposed)
         now = time.monotonic()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -14,10 +14,9 @@ from asia.agents.view import Agent, proposes_ahead
 from asia.errors import UserError
 from asia.judge.evaluation.background import BackgroundJob, JobSettings
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.results import Evaluation, FoldRecord
 from asia.ledger.artifacts import Store
-from asia.ledger.events import FoldEvidence, Landed, Proposed
-from asia.ledger.evidence import put_findings
+from asia.ledger.events import Landed, Proposed
 from asia.ledger.view import Experiment, SearchView
 from asia.search.fair_trial import Tried, evaluation_of, first_fit
 
@@ -44,22 +43,13 @@ def check_steps_ahead(parallel: int, agent: Agent) -> None:
     )
 
 
-def keep_folds(store: Store, folds: Sequence[FoldResult]) -> tuple[FoldEvidence, ...]:
-    """Models, simulations and evidence as artifacts."""
-    return tuple(
-        FoldEvidence(
-            model=store.put(fold.model),
-            y_hat=store.put_arrays(fold.y_hat),
-            curve=store.put_arrays([fold.curve]),
-            diagnostics=fold.diagnostics,
-            fit_seconds=fold.seconds,
-            validation_scores=fold.validation_scores,
-            findings=put_findings(store, fold.findings) if fold.findings else None,
-            machine=fold.machine,
-            isolation=fold.isolation,
-        )
-        for fold in folds
-    )
+def keep_folds(store: Store, evaluation: Evaluation) -> tuple[FoldRecord, ...]:
+    """Store the large parts of the folds as artifacts and return the records."""
+    for fold in evaluation.folds:
+        for name in (fold.model, fold.y_hat, fold.curve, fold.findings):
+            if name is not None and evaluation.artifacts is not store:
+                store.put(evaluation.artifacts.get(name))
+    return evaluation.folds
 
 
 def keep_output(store: Store, output: str) -> str | None:
@@ -130,7 +120,7 @@ class PendingFits:
         landed = experiment.landed
         if landed is None:
             return None
-        evaluation = evaluation_of(landed, self._evaluator.data.folds, self._store)
+        evaluation = evaluation_of(landed, self._store)
         source = self._store.text(landed.source or experiment.proposed.source)
         return PendingFit(Tried(source, evaluation, landed.variants), landed.seconds, Lane())
 
@@ -153,7 +143,7 @@ class PendingFits:
             Landed(
                 experiment=proposed.experiment,
                 outcome=evaluation.outcome,
-                folds=keep_folds(self._store, evaluation.folds),
+                folds=keep_folds(self._store, evaluation),
                 output=keep_output(self._store, evaluation.output),
                 seconds=seconds,
                 validation_scores=evaluation.validation_scores,

@@ -239,7 +239,7 @@ def _evaluate(
     found = evaluator.evaluate(source)
     if isinstance(found.outcome, Failure) or found.outcome.value > gain:
         return found
-    failure = evaluator.objection(source, found.folds)
+    failure = evaluator.objection(source, found)
     return found if failure is None else Evaluation(failure)
 
 

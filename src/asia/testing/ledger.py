@@ -12,14 +12,13 @@ from asia.errors import Reason, UserError
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.ledger.chain import Chain, Line
 from asia.ledger.events import (
-    Again,
     Evaluated,
     Event,
     Extended,
+    Fit,
     Proposed,
     ReferenceScored,
     RefitCheck,
-    RefitStart,
     Refitted,
     Resumed,
     Stack,
@@ -150,8 +149,10 @@ def made_up_events() -> list[Event]:
             1,
             None,
             "it failed",
-            Again(2, 1.04),
-            check=RefitCheck((0.1, None), 0.1, None, (RefitStart(1.2, 1.1, "far off"),)),
+            Fit(0, "repetition", 1.04, fold=2),
+            check=RefitCheck(
+                (0.1, None), 0.1, None, (Fit(0, "refit", 1.2, failed="far off", disagreement=1.1),)
+            ),
             stack=Stack((StackMember(1, 0.75), StackMember(2, 0.25)), 0.4, (0.3, 0.5)),
             use="stack",
             reason="Several models together are better.",

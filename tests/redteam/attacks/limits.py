@@ -137,11 +137,10 @@ def _talk_in_a_dry_run(_: Scene) -> SearchAttackResult:
     problem = small_problem("simulation")
     fold, heard = make_folds(problem.records, problem.rule)[0], list[str]()
     for level in _levels():
-        short = made_up_fold(fold, problem.rule)
-        tried = _evaluator(problem, short.fold, level)
+        tried = _evaluator(problem, made_up_fold(fold, problem.rule), level)
         for name, text in SPEAKERS.items():
             source = _filled(text, problem)
-            dry = dry_run(tried, short, source, 20.0)
+            dry = dry_run(tried, fold, source, 20.0)
             words = f"{dry.output}\n{dry.failure.detail if dry.failure else ''}"
             if _exposed(words, fold, whole=True):
                 heard.append(f"{name} in a dry run at {level}")
@@ -212,12 +211,13 @@ def _message_by_figures(_: Scene) -> SearchAttackResult:
     for level in _levels():
         evaluator = _evaluator(problem, fold, level)
         for name, text in MESSAGES.items():
-            (result,) = evaluator.evaluate(_filled(text, problem)).folds or (None,)
-            if result is None or result.findings is None:
+            evaluation = evaluator.evaluate(_filled(text, problem))
+            if not evaluation.folds:
                 continue
+            (result,), (findings,) = evaluation.folds, evaluation.findings
             figures = {
-                "memory": _decode_by_memory(result.findings.memory_mb or 0.0),
-                "compilation": result.findings.compile_seconds,
+                "memory": _decode_by_memory(findings.memory_mb or 0.0),
+                "compilation": findings.compile_seconds,
                 "residuals": result.diagnostics.bias * float(fold.scale[0]) / 1e6,
             }
             figure = figures[name.partition(" ")[0]]

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from asia.errors import Reason
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
@@ -12,7 +13,6 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import (
     Evaluated,
     Event,
-    FoldEvidence,
     Proposed,
     ReferenceScored,
     Started,
@@ -58,7 +58,7 @@ def finished_run(directory: Path) -> Path:
     store = Store(directory / "artifacts")
     lock = b"made up\n"
     start = replace(started(), lock_digest=hashlib.sha256(lock).hexdigest())
-    fold = FoldEvidence(
+    fold = FoldRecord(
         *(store.put(name.encode()) for name in ("model", "y_hat", "curve")),
         Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0),
         2.5,

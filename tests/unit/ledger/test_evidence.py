@@ -7,11 +7,11 @@ import pytest
 
 from asia.data import Signal
 from asia.errors import Reason
-from asia.judge.evaluation.results import FoldFindings, StepErrors
+from asia.judge.evaluation.results import FoldFindings, FoldRecord, StepErrors, put_findings
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Evaluated, FoldEvidence, Retest
+from asia.ledger.events import Evaluated, Fit
 from asia.ledger.evidence import (
     ParameterSpread,
     RunSettings,
@@ -19,7 +19,6 @@ from asia.ledger.evidence import (
     findings_of,
     noise_of_repeats,
     parameter_spreads,
-    put_findings,
     shared_residuals,
 )
 from asia.ledger.text import evidence_lines, last_lines, minima_lines, parameter_lines
@@ -64,7 +63,7 @@ def view(store: Store, *outcomes: Score | Failure, **changes: object) -> SearchV
     events: list[object] = [start]
     for number, outcome in enumerate(outcomes, 1):
         folds = tuple(
-            FoldEvidence(
+            FoldRecord(
                 "m", "y", "c", Diagnostics(0.2, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0), 2.5,
                 findings=put_findings(store, findings(k, **changes)),
             )
@@ -180,11 +179,9 @@ def test_many_outputs_and_folds_stay_one_screen(store: Store) -> None:
     seen = view(store, SCORE)
     shown = evidence_of(seen.experiment(1), seen, store, settings)
     other = replace(many, parameters=tuple((n, -v) for n, v in many.parameters), printed="a\n" * 9)
-    folds = tuple(
-        replace(fold, findings=one) for fold, one in zip(shown.folds, (many, other), strict=True)
-    )
     shown = replace(
-        shown, folds=folds, residuals=shared_residuals([many.residuals, other.residuals]),
+        shown, findings=(many, other),
+        residuals=shared_residuals([many.residuals, other.residuals]),
         parameters=parameter_spreads([many, other]),
     )  # fmt: skip
     assert len(evidence_lines(shown)) <= 50
@@ -237,7 +234,7 @@ def test_the_noise_is_that_of_the_experiments_that_are_compared(store: Store) ->
 
     def repeated(one: Experiment, value: float) -> Experiment:
         assert one.result is not None
-        again = (Retest(value),)
+        again = (Fit(7, "retest", value),)
         return replace(one, result=replace(one.result, retests=again))
 
     seen = replace(

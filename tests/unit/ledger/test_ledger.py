@@ -8,7 +8,7 @@ import pytest
 from asia.errors import UserError
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import BEGIN, Chain, _line, read_lines
-from asia.ledger.events import Evaluated, Retest, Started, Unsealed, adapter
+from asia.ledger.events import Evaluated, Fit, Started, Unsealed, adapter
 from asia.ledger.events import TestedModel as Record
 from asia.ledger.exports import journal, results_table
 from asia.ledger.run import find_run, open_run
@@ -128,7 +128,7 @@ def test_a_mean_over_seeds_is_called_one(run: Path) -> None:
     assert third.result is not None
     assert third.score is not None
     value = third.score.value
-    again = (Retest(value + 0.03), Retest(value + 0.06))
+    again = (Fit(7, "retest", value + 0.03), Fit(8, "retest", value + 0.06))
     seeds = replace(third, result=replace(third.result, retests=again))
     view = replace(view, experiments=(*view.experiments[:2], seeds))
     cells = results_table(view).splitlines()[3].split("\t")

@@ -12,11 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from asia.errors import UserError
+from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.outcome import FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import BEGIN, LINE_LIMIT, Chain, Follower, decode, encode, read_lines
-from asia.ledger.events import Evaluated, Event, FoldEvidence, Steered, Stopped
+from asia.ledger.events import Evaluated, Event, Steered, Stopped
 from asia.ledger.index import brief
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
@@ -217,7 +218,7 @@ def test_a_proposal_without_its_result_is_whole(whole: Path) -> None:
 def long_result(folds: int = 120) -> Evaluated:
     part = FoldScore(0.25, (0.25,), (0.5,), (50.0,), (0.75,))
     numbers = Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0)
-    fold = FoldEvidence("a" * 64, "b" * 64, "c" * 64, numbers, 2.5, machine='"Nürnberg"\\')
+    fold = FoldRecord("a" * 64, "b" * 64, "c" * 64, numbers, 2.5, machine='"Nürnberg"\\')
     return Evaluated(1, "keep", Score(0.25, (part,) * folds), (fold,) * folds, None, 1.0)
 
 

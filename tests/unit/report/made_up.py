@@ -14,14 +14,13 @@ from asia.data.sources import Source
 from asia.data.sources.official import OfficialBenchmark
 from asia.data.sources.simulated.source import Simulated
 from asia.errors import Reason
-from asia.judge.evaluation.results import FoldFindings
+from asia.judge.evaluation.results import FoldFindings, FoldRecord, put_findings
 from asia.judge.scoring.outcome import Failure, combine, score_fold, score_test
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
     Evaluated,
-    FoldEvidence,
     GuardLooked,
     GuardScore,
     Proposed,
@@ -31,7 +30,6 @@ from asia.ledger.events import (
     TestedModel,
     Unsealed,
 )
-from asia.ledger.evidence import put_findings
 from asia.problem import Budget
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem, TestSource
@@ -152,7 +150,7 @@ def append_experiment(
     ]
     names = findings or [None] * len(arrays)
     records = tuple(
-        FoldEvidence(
+        FoldRecord(
             store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0, findings=name
         )
         for a, name in zip(arrays, names, strict=True)

@@ -121,7 +121,7 @@ def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> N
     fold = make_folds(problem.train, problem.protocol)[0]
     best = run.view.best
     assert best is not None
-    y_hat = fold_outputs(run.store, best, make_folds(problem.train, problem.protocol))[0]
+    y_hat = fold_outputs(run.store, best.folds, make_folds(problem.train, problem.protocol))[0]
     names = [s.name for s in problem.outputs]
     groups = problem.protocol.test.groups
     table = mee_table([b.y for b in fold.held_out], y_hat, names, groups, ())

@@ -189,7 +189,7 @@ def test_an_honest_linear_model_of_slow_states_is_scored_whatever_cases_are_draw
     found = Evaluator(data, workers).evaluate(LINEAR)
     for salt in "abcdefghij":
         drawn = Evaluator(data, workers, EvaluatorOptions(salt))
-        assert drawn.objection(LINEAR, found.folds) is None
+        assert drawn.objection(LINEAR, found) is None
 
 
 def test_an_output_that_never_moves_is_refused(tmp_path: Path) -> None:

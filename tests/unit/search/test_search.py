@@ -93,7 +93,7 @@ def test_a_search_end_to_end(finished: Path) -> None:
     assert view.refitted is not None
     assert view.refitted.model is not None
     assert view.refitted.again is not None
-    assert view.refitted.again.ratio == 1.0
+    assert view.refitted.again.value == 1.0
     assert again_words(view) == ""
     verify(finished)
     assert (finished / "results.tsv").read_text().count("\n") == 5
@@ -180,7 +180,7 @@ def test_a_winner_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
     assert view.best.number == 2
     assert view.refitted is not None
     assert view.refitted.again is not None
-    assert view.refitted.again.ratio not in (None, 1.0)
+    assert view.refitted.again.value not in (None, 1.0)
     assert "V varies over repeated fits" in again_words(view)
 
 

@@ -167,11 +167,11 @@ def guard_words(view: SearchView) -> str:
 def again_words(view: SearchView) -> str:
     """Return the difference that a second fit of one fold of the winner showed; "" if none."""
     again = view.refitted.again if view.refitted else None
-    if again is None or again.ratio == 1.0:
+    if again is None or again.value == 1.0:
         return ""
     found = f"failed ({again.failed})"
-    if again.ratio is not None:
-        found = f"has {again.ratio:.4g} times the error of the first"
+    if again.value is not None:
+        found = f"has {again.value:.4g} times the error of the first"
     return f"a second fit of fold {again.fold} {found}: V varies over repeated fits"
 
 

@@ -346,7 +346,7 @@ class JsonDisplay:
             case Refitted():
                 again: dict[str, Any] = {}
                 if event.again is not None:
-                    again = {"again_fold": event.again.fold, "again_ratio": event.again.ratio}
+                    again = {"again_fold": event.again.fold, "again_ratio": event.again.value}
                 self._print("refitted", experiment=event.experiment, use=event.use, **again)
             case _:
                 self._print(event.event)

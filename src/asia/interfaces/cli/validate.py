@@ -17,16 +17,14 @@ from asia._timer import duration
 from asia.errors import UserError
 from asia.interfaces.cli.init import split_at_commas
 from asia.interfaces.cli.options import ColumnNames, Experiment, RunName, RunOptions, Time, TimeUnit
-from asia.interfaces.cli.output import value_words, verdict_lines, verdict_object
-from asia.judge.scoring.outcome import Score
+from asia.interfaces.cli.output import verdict_lines, verdict_object
 from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.events import (
     Ablated,
-    AblationFit,
     Confirmed,
     ConfirmedCandidate,
     ConfirmedPair,
-    Repeated,
+    Fit,
 )
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
@@ -158,16 +156,16 @@ def validate(
 def _repeat(directory: Path, top: int, seeds: int, level: Isolation, *, json: bool) -> None:
     from asia.analysis.confirmation import confirm
 
-    def fitted(event: Repeated, done: int, total: int) -> None:
+    def fitted(event: Fit, done: int, total: int) -> None:
         if json:
-            value = event.outcome.value if isinstance(event.outcome, Score) else None
-            fit = {"event": "repeated", "experiment": event.experiment, "repeat": event.repeat}
-            line = {**fit, "V": value, "same": event.same, "done": done, "of": total}
+            fit = {"event": "repeated", "experiment": event.experiment, "repeat": event.seed}
+            line = {**fit, "V": event.value, "same": event.same, "done": done, "of": total}
             say(jsonlib.dumps(line, allow_nan=False), flush=True)
             return
+        value = event.failed if event.value is None else error_value(event.value)
         same = ", as in the search: its fits do not depend on the seed" if event.same else ""
         say(
-            f"#{event.experiment:02d} seed {event.repeat}: V={value_words(event.outcome)} in "
+            f"#{event.experiment:02d} seed {event.seed}: V={value} in "
             f"{duration(event.seconds)}{same}  [{done} of {total}]",
             file=sys.stderr,
             flush=True,
@@ -299,14 +297,14 @@ def _ablate(directory: Path, seeds: int, level: Isolation, *, json: bool) -> Non
     from asia.analysis.ablation import ablate
     from asia.report.files import write_report
 
-    def fitted(event: AblationFit, done: int, total: int) -> None:
+    def fitted(event: Fit, done: int, total: int) -> None:
         if json:
-            fit = {"event": "ablation_fit", "variant": event.variant, "seed": event.repeat}
+            fit = {"event": "ablation_fit", "variant": event.variant, "seed": event.seed}
             line = {**fit, "V": event.value, "failed": event.failed, "done": done, "of": total}
             say(jsonlib.dumps(line, allow_nan=False), flush=True)
             return
         value = event.failed if event.value is None else f"V={error_value(event.value)}"
-        text = f"{event.variant}, seed {event.repeat}: {value} in {duration(event.seconds)}"
+        text = f"{event.variant}, seed {event.seed}: {value} in {duration(event.seconds)}"
         say(f"{text}  [{done} of {total}]", file=sys.stderr, flush=True)
 
     found, new = ablate(directory, fitted, seeds=seeds, isolation=level)

@@ -257,41 +257,19 @@ def printed_lines(output: str) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class FoldEvidence:
-    """One fold of an experiment."""
-
-    held_out: str
-    """Description of the held-out part."""
-    V: float | None
-    """V of the fold; None where it is not reported."""
-    train_error: float
-    """The metric on the training records, as it enters V."""
-    errors: dict[str, float]
-    """The metric of each output on the held-out part, as it enters V."""
-    train_errors: dict[str, float]
-    """The same on the training records."""
-    steps: dict[str, dict[str, float]]
-    """Step of a window -> output -> error on the held-out windows at that step."""
-    fit_seconds: float
-    compile_seconds: float | None
-    """Compile time of JAX, s; None if not known."""
-    memory_mb: float | None
-    """The largest address space of the worker before its first case; None where it is not
-    known."""
-    parameters: dict[str, float]
-    """Those that the model names."""
-    printed: tuple[str, ...]
-    """The last lines that the fit printed: the candidate's own words."""
-
-
-@dataclass(frozen=True)
 class ExperimentEvidence:
     """Evidence on an experiment besides its score."""
 
     lines: tuple[str, ...]
     """Complete evidence as lines of text, most useful first."""
-    folds: tuple[FoldEvidence, ...]
-    """Each fold in numbers; () for a failure."""
+    folds: tuple[dict[str, Any], ...]
+    """Numbers of each fold; () for a failure.
+
+    `V` is None where it is not reported. `errors` and `train_errors` are the metric of each output
+    on the held-out part and on the training records, as they enter V, `steps` the errors at each
+    step of a window. `compile_seconds` and `memory_mb` are None where they are not known. `printed`
+    are the last lines that the fit printed: the candidate's own words.
+    """
     residuals: tuple[str, ...]
     """Operating ranges in which the model is too high or too low on the training records."""
     held_out_residuals: tuple[str, ...]
@@ -327,24 +305,24 @@ class ExperimentEvidence:
         def by_output(values: Sequence[float]) -> dict[str, float]:
             return dict(zip((s.name for s in setting.outputs), values, strict=False))
 
-        folds: list[FoldEvidence] = []
-        for fold in found.folds:
-            known = fold.findings
-            folds.append(
-                FoldEvidence(
-                    held_out=fold.held_out,
-                    V=fold.value,
-                    train_error=fold.diagnostics.train_error,
-                    errors=by_output(known.errors if known else ()),
-                    train_errors=by_output(known.train_errors if known else ()),
-                    steps={str(s.step): by_output(s.errors) for s in known.steps} if known else {},
-                    fit_seconds=coarse(fold.fit_seconds),
-                    compile_seconds=coarse(known.compile_seconds) if known else None,
-                    memory_mb=coarse(known.memory_mb) if known and known.memory_mb else None,
-                    parameters=dict(known.parameters) if known else {},
-                    printed=tuple(last_lines(known.printed, 40)) if known else (),
-                )
-            )
+        folds: list[dict[str, Any]] = []
+        findings = found.findings or (None,) * len(found.folds)
+        for fold, held_out, value, known in zip(
+            found.folds, found.held_out, found.values, findings, strict=True
+        ):
+            folds.append({
+                "held_out": held_out,
+                "V": value,
+                "train_error": fold.diagnostics.train_error,
+                "errors": by_output(known.errors if known else ()),
+                "train_errors": by_output(known.train_errors if known else ()),
+                "steps": {str(s.step): by_output(s.errors) for s in known.steps} if known else {},
+                "fit_seconds": coarse(fold.fit_seconds),
+                "compile_seconds": coarse(known.compile_seconds) if known else None,
+                "memory_mb": coarse(known.memory_mb) if known and known.memory_mb else None,
+                "parameters": dict(known.parameters) if known else {},
+                "printed": last_lines(known.printed, 40) if known else [],
+            })  # fmt: skip
         return cls(
             lines=tuple(lines),
             folds=tuple(folds),

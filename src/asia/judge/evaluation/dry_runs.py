@@ -13,7 +13,6 @@ from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.requests import spread
-from asia.judge.evaluation.results import same_simulations
 from asia.judge.scoring.outcome import Failure
 from asia.problem.folds import Fold, whole
 from asia.problem.protocol import ProtocolRule
@@ -25,17 +24,6 @@ _MOST_SAMPLES = 2000
 _MOST_RECORDS = 3
 _MOST_WINDOWS = 64
 _HELD, _POLE = 10, 0.9
-
-
-@dataclass(frozen=True)
-class DryFold:
-    """A short made-up fold, both to train on and to simulate."""
-
-    fold: Fold
-    """Short fold for the trial; its simulated samples train as well."""
-    samples: int
-    of_samples: int
-    """Samples that the whole fold trains on."""
 
 
 @dataclass(frozen=True)
@@ -67,14 +55,14 @@ class DryRun:
         return compiling + (self.fit_seconds - compiling) * self.of_samples / self.samples
 
 
-def made_up_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
+def made_up_fold(fold: Fold, rule: ProtocolRule) -> Fold:
     """Make records up that are like the first training records of `fold`: a quarter of its samples
     or a few hundred, with the same shapes, gaps and rough ranges. They train and are simulated.
 
     No measured value is in them, because what a candidate prints of them is shown: any record that
     trains one fold is held out by another.
     """
-    full = sum(len(record) for record in fold.train)
+    full = sum(map(len, fold.train))
     wanted = max(_FEWEST_SAMPLES, min(int(_SHARE * full), _MOST_SAMPLES))
     chosen = fold.train[:_MOST_RECORDS]
     # A record must hold a past window and some cases.
@@ -90,8 +78,7 @@ def made_up_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
     blocks = spread(whole(records, rule), _MOST_WINDOWS)
     scale = spread_of(np.concatenate([block.y for block in blocks]))
     scale = np.where(scale > 0, scale, 1.0)
-    short = Fold(0, tuple(records), blocks, scale, (False,) * len(blocks))
-    return DryFold(short, sum(map(len, records)), full)
+    return Fold(0, tuple(records), blocks, scale, (False,) * len(blocks))
 
 
 class _Ranges:
@@ -138,15 +125,15 @@ def allowed_seconds(limit_seconds: float) -> float:
     return min(limit_seconds, _LONGEST_SECONDS)
 
 
-def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: float) -> DryRun:
-    """Fit `source` on the short fold, simulate, and reload its model, which must simulate the same.
+def dry_run(evaluator: Evaluator, whole_fold: Fold, source: str, limit_seconds: float) -> DryRun:
+    """Fit `source` on a short fold, simulate, and reload its model, which must simulate the same.
 
     Args:
-        evaluator: of the short fold alone, with `allowed_seconds` for a fit and without the
-            relations that only a search checks, so that no candidate can rehearse them
+        evaluator: of `made_up_fold` of the whole fold alone, with `allowed_seconds` for a fit and
+            without the relations that only a search checks, so that no candidate can rehearse them
         limit_seconds: time limit of a fit in a search
     """
-    stopwatch = evaluator.workers.stopwatch
+    (short,), stopwatch = evaluator.data.folds, evaluator.workers.stopwatch
     stopwatch.take()
     evaluation = evaluator.evaluate(source)
     spent = {one.activity: one.wall for one in stopwatch.take()}
@@ -156,17 +143,18 @@ def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: fl
     else:
         first = evaluation.folds[0]
         try:
-            again = evaluator.models.simulate(source, [first.model], short.fold.held_out)
-            if not same_simulations(again, [first.y_hat]):
+            model = evaluation.artifacts.get(first.model)
+            (again,) = evaluator.models.simulate(source, [model], short.held_out)
+            if evaluation.artifacts.put_arrays(again) != first.y_hat:
                 failure = Failure(Reason.NOT_REPRODUCIBLE)
         except CandidateError as error:
             failure = Failure(Reason.NOT_REPRODUCIBLE, error.detail or error.reason.advice)
     return DryRun(
         failure=failure,
         output=evaluation.output,
-        samples=short.samples,
-        of_samples=short.of_samples,
-        fit_seconds=evaluation.folds[0].seconds if evaluation.folds else None,
+        samples=sum(map(len, short.train)),
+        of_samples=sum(map(len, whole_fold.train)),
+        fit_seconds=evaluation.folds[0].fit_seconds if evaluation.folds else None,
         compile_seconds=sum(spent.get(a, 0.0) for a in (Activity.TRACE, Activity.COMPILE)),
         simulate_seconds=spent.get(Activity.SIMULATE, 0.0),
         limit_seconds=limit_seconds,

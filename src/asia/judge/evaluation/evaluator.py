@@ -17,7 +17,8 @@ from asia.candidate import Context, check_source, executed_source, library_only
 from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason, UserError
-from asia.judge.evaluation.findings import fold_result
+from asia.judge.evaluation.artifacts import ArtifactStore
+from asia.judge.evaluation.findings import record_fold
 from asia.judge.evaluation.relations import (
     ROUNDING,
     Suspicion,
@@ -37,8 +38,7 @@ from asia.judge.evaluation.requests import (
 )
 from asia.judge.evaluation.results import (
     Evaluation,
-    FoldEnd,
-    FoldResult,
+    FoldRecord,
     Refit,
     RefitModel,
     derive_seed,
@@ -47,7 +47,7 @@ from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.worker.worker import Worker
-from asia.judge.scoring.outcome import Failure, combine, score_fold
+from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
 from asia.problem.folds import Fold, inner_folds, whole
@@ -341,12 +341,12 @@ class Evaluator:
         """Relations that are not checked."""
         return self._options.without
 
-    def fit_fold(self, source: str, place: int) -> FoldResult | Failure:
+    def fit_fold(self, source: str, place: int) -> Outcome:
         """Fit and score a source on one fold, by its place from 0, as in a search."""
-        job = partial(self._fold_or_failure, executed_source(source), self.data.folds[place])
+        job = partial(self._evaluate_fold, executed_source(source), self.data.folds[place])
         try:
             with self.workers.stopwatch.activity(Activity.CHECKS, swallows=True):
-                return self.workers.run([job])[0].result
+                return self.workers.run([job])[0].outcome
         except CandidateError as error:
             return Failure(error.reason, error.detail)
 
@@ -369,17 +369,19 @@ class Evaluator:
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
         folds = self.data.folds
-        jobs = [partial(self._fold_or_failure, source, fold, start) for fold in folds]
+        artifacts = ArtifactStore()
+        jobs = [partial(self._evaluate_fold, source, fold, start, artifacts) for fold in folds]
         try:
             ends = self.workers.run(jobs)
         except CandidateError as error:
             return Evaluation(Failure(error.reason, error.detail))
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
-            if isinstance(end.result, Failure):
-                return Evaluation(end.result, output=end.output, validation_scores=calls)
-        results = tuple(end.result for end in ends if isinstance(end.result, FoldResult))
-        return Evaluation(combine([r.score for r in results]), results, ends[0].output, calls)
+            if isinstance(end.outcome, Failure):
+                return Evaluation(end.outcome, output=end.output, validation_scores=calls)
+        scores = [end.outcome.folds[0] for end in ends if isinstance(end.outcome, Score)]
+        records = tuple(end.folds[0] for end in ends)
+        return Evaluation(combine(scores), records, ends[0].output, calls, artifacts=artifacts)
 
     def inner_errors(self, source: str) -> tuple[float, ...] | Reason:
         """Fit a source to parts of each fold's training records and simulate the rest.
@@ -391,9 +393,7 @@ class Evaluator:
         rule, source = self.data.rule, executed_source(source)
 
         def parts(fold: Fold) -> tuple[float, ...]:
-            fitted = self._fitter.fit(source, fold, 0, None).result
-            if isinstance(fitted, CandidateError):
-                raise fitted
+            fitted = self._fitter.fit(source, fold, 0, None)
             y = [block.y for block in fold.held_out]
             return score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=True).parts
 
@@ -405,15 +405,16 @@ class Evaluator:
                 self._inner_errors[source] = error.reason
         return self._inner_errors[source]
 
-    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+    def objection(self, source: str, evaluation: Evaluation) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
         same as the worker that fitted it, and answers like a model (see `suspicions`). RESTART
         depends on held-out outputs: it is the reason only if no other relation fails in any fold.
         """
-        without = self.models.left_out(source)
+        without, store = self.models.left_out(source), evaluation.artifacts
 
-        def objection(fold: Fold, result: FoldResult) -> Failure | None:
-            place = fold.index + 1
+        def objection(fold: Fold, record: FoldRecord) -> Failure | None:
+            place, model = fold.index + 1, store.get(record.model)
+            y_hat = store.get_arrays(record.y_hat, fold.shapes)
             followed = [i for i, known in enumerate(fold.followed) if known]
             ask = partial(
                 suspicions, scale=fold.scale, horizon=self.data.horizon,
@@ -421,13 +422,13 @@ class Evaluator:
                 without=without, rounding=0.0,
             )  # fmt: skip
             try:
-                found = self.models.ask(source, result.model, fold.held_out, result.y_hat, ask)
+                found = self.models.ask(source, model, fold.held_out, y_hat, ask)
             except CandidateError as error:
                 return Failure(error.reason, error.detail, place)
             return objection_to(found, place)
 
-        pairs = zip(self.data.folds, folds, strict=True)
-        found = self._run_checks([partial(objection, fold, result) for fold, result in pairs])
+        pairs = zip(self.data.folds, evaluation.folds, strict=True)
+        found = self._run_checks([partial(objection, fold, record) for fold, record in pairs])
         if isinstance(found, Failure):
             return found
         failures = [failure for failure in found if failure is not None]
@@ -458,14 +459,14 @@ class Evaluator:
         folds = self.data.folds
         fold = folds[derive_seed(self.data.context.seed, self._options.salt) % len(folds)]
         models: list[RefitModel | CandidateError] = []
-        results: list[FoldResult | Failure] = []
+        outcomes: list[Outcome] = []
         self.workers.run(
             [
                 lambda: models.append(self._fit_all(source, 0, fold_models)),
-                lambda: results.append(self._fold_or_failure(source, fold).result),
+                lambda: outcomes.append(self._evaluate_fold(source, fold).outcome),
             ]
         )
-        return Refit(models[0], fold.index + 1, results[0])
+        return Refit(models[0], fold.index + 1, outcomes[0])
 
     def refit_again(self, source: str, start: int) -> RefitModel | CandidateError:
         """Fit on all training records with the seed of another start; 0 is that of `refit`."""
@@ -500,26 +501,32 @@ class Evaluator:
             # A model is none the worse for estimates that cannot be had.
             return error if model is None else RefitModel(model)
 
-    def _fold_or_failure(self, source: str, fold: Fold, start: int = 0) -> FoldEnd:
+    def _evaluate_fold(
+        self, source: str, fold: Fold, start: int = 0, artifacts: ArtifactStore | None = None
+    ) -> Evaluation:
+        """Fit and score `source` on one fold; artifacts: takes the large parts of its record."""
         context, rule, stopwatch = self.data.context, self.data.rule, self.workers.stopwatch
         opening = partial(self.workers.open_for, source, fitting=False)
         oracle = Oracle(opening, source, context, fold, rule)
         scores = None if rule.early_stopping == "inner" else oracle
-        found = self._fitter.fit(source, fold, start, scores)
+        artifacts = ArtifactStore() if artifacts is None else artifacts
         # Analyse one fold of long records at a time, to limit memory.
         long = sum(len(record) for record in fold.train) > _LONG
+        printed, records = "", ()
         try:
-            fitted = found.result
-            if isinstance(fitted, CandidateError):
-                raise fitted
+            fitted = self._fitter.fit(source, fold, start, scores)
+            printed = fitted.printed
             with stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._check_strangers(source, fold, fitted.model, fitted.y_hat)
             with stopwatch.activity(Activity.SCORE), self._analysing if long else nullcontext():
-                result = fold_result(fold, fitted, rule, self._ranges, context, oracle.calls)
-                result = replace(result, machine=found.machine, isolation=found.isolation)
+                score, record = record_fold(
+                    fold, fitted, rule, self._ranges, context, oracle.calls, artifacts
+                )
+            outcome, records = Score(score.value, (score,)), (record,)
         except CandidateError as error:
-            result = Failure(error.reason, error.detail, fold.index + 1)
-        return FoldEnd(result, found.printed, oracle.calls)
+            outcome = Failure(error.reason, error.detail, fold.index + 1)
+            printed = printed or error.printed
+        return Evaluation(outcome, records, printed, oracle.calls, artifacts=artifacts)
 
     def _check_strangers(
         self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]

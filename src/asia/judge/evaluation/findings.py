@@ -10,10 +10,10 @@ import numpy as np
 from asia._diagnostic import diagnostic
 from asia.candidate import Context, KnownSystem
 from asia.data.trajectory import Array
-from asia.judge.evaluation.results import FoldFindings, FoldResult, StepErrors
+from asia.judge.evaluation.artifacts import ArtifactStore
+from asia.judge.evaluation.results import FoldFindings, FoldRecord, StepErrors, put_findings
 from asia.judge.evaluation.training_checks import TrainingCheck, training_checks
-from asia.judge.sandbox.types import FitReply
-from asia.judge.scoring.outcome import score_fold, without_gaps
+from asia.judge.scoring.outcome import FoldScore, score_fold, without_gaps
 from asia.judge.scoring.residuals import (
     Diagnostics,
     Ranges,
@@ -30,11 +30,17 @@ _MOST_RESIDUALS = 120
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """Results from the worker of one fold."""
+class FoldFit:
+    """A model fitted on one fold and its simulations, as the machine that fits reports them."""
 
-    reply: FitReply
     model: bytes
+    """The fitted model; never parsed outside a sandbox."""
+    curve: Array
+    """Step and loss as logged by the candidate, (n, 2), may hold NaN."""
+    printed: str
+    """Text that the candidate printed during the fit."""
+    seconds: float
+    """Wall time of the fit."""
     parameters: tuple[tuple[str, float], ...]
     y_hat: tuple[Array, ...]
     """Simulated outputs (H, ny) of each held-out block."""
@@ -49,17 +55,23 @@ class Fitted:
     simulate_seconds: float
     """Processor time of the second simulation of the training records; of the first where it is
     slow."""
+    machine: str = ""
+    """The machine that fitted it; "" for the search's own."""
+    isolation: str = ""
+    """The level that was in force there; "" for the search's own."""
 
 
-def fold_result(
+def record_fold(
     fold: Fold,
-    fitted: Fitted,
+    fitted: FoldFit,
     rule: ProtocolRule,
     ranges: Ranges,
     context: Context,
     validation_scores: int,
-) -> FoldResult:
-    """Score a fold's simulations and analyse their residuals. An analysis that raises leaves a line
+    artifacts: ArtifactStore,
+) -> tuple[FoldScore, FoldRecord]:
+    """Score a fold's simulations, analyse their residuals, and keep the large parts in `artifacts`.
+    An analysis that raises leaves a line
     in `FoldFindings.failed`, and zeros in `Diagnostics`; a score that raises is not caught.
 
     Raises:
@@ -97,21 +109,29 @@ def fold_result(
         parameters=fitted.parameters,
         compile_seconds=fitted.compile_seconds,
         memory_mb=fitted.memory_mb,
-        printed=fitted.reply.output,
+        printed=fitted.printed,
         held_out_residuals=held_out,
         checks=checks,
         failed=tuple(failed),
         numbers=fitted.numbers,
         sample_seconds=fitted.simulate_seconds / sum(map(len, fitted.train_y_hat)),
     )
-    return FoldResult(
-        score, fitted.model, fitted.y_hat, fitted.reply.curve, evidence, fitted.reply.seconds,
-        validation_scores, findings,
-    )  # fmt: skip
+    record = FoldRecord(
+        model=artifacts.put(fitted.model),
+        y_hat=artifacts.put_arrays(fitted.y_hat),
+        curve=artifacts.put_arrays([fitted.curve]),
+        diagnostics=evidence,
+        fit_seconds=fitted.seconds,
+        validation_scores=validation_scores,
+        findings=put_findings(artifacts, findings),
+        machine=fitted.machine,
+        isolation=fitted.isolation,
+    )
+    return score, record
 
 
 def _held_out_residuals(
-    fold: Fold, fitted: Fitted, rule: ProtocolRule, ranges: Ranges
+    fold: Fold, fitted: FoldFit, rule: ProtocolRule, ranges: Ranges
 ) -> tuple[SignedResidual, ...]:
     if rule.residuals == "train":
         return ()

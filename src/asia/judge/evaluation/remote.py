@@ -12,16 +12,18 @@ from functools import cache, partial
 from itertools import chain
 from typing import Protocol
 
+import numpy as np
+
 from asia._timer import Activity
 from asia.candidate import Context, imported_libraries
 from asia.errors import CandidateError, SandboxError, UserError
-from asia.judge.evaluation.findings import Fitted
+from asia.judge.evaluation.findings import FoldFit
 from asia.judge.evaluation.machines import check_installation, installation
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.requests import side_by_side, simulate_each, simulate_training
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.transport import (
-    FoldAnswer,
+    FoldAttempt,
     FoldData,
     FoldWork,
     decode_answer,
@@ -33,7 +35,6 @@ from asia.judge.evaluation.transport import (
     encode_work,
     fold_data,
     installation_of,
-    local_answer,
 )
 from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import OnLoss, WorkerRunner
@@ -65,7 +66,7 @@ def fit_fold(
     open_worker: OpenWorker,
     oracle: Oracle | None = None,
     on_loss: OnLoss | None = None,
-) -> FoldAnswer:
+) -> FoldFit:
     """Fit in one worker, which reports its parameters before it receives a case, and simulate there
     and in fresh ones.
 
@@ -75,6 +76,7 @@ def fit_fold(
         on_loss: called while the fit runs
 
     Raises:
+        CandidateError: with what the candidate printed
         SandboxError: for a failure that the candidate did not cause
     """
     printed = ""
@@ -109,12 +111,20 @@ def fit_fold(
                 fresh.load(work.source, model, context)
                 found |= simulate_each(fresh, blocks, session, data.secret, together=together)
     except CandidateError as error:
-        return FoldAnswer(error, printed)
-    y_hat = tuple(found[i] for i in range(len(data.held_out)))
-    fitted = Fitted(
-        reply, model, parameters, y_hat, train_y_hat, memory, compiling, numbers, simulating
-    )  # fmt: skip
-    return FoldAnswer(fitted, printed)
+        raise CandidateError(error.reason, error.detail, printed) from error
+    return FoldFit(
+        model=model,
+        curve=reply.curve,
+        printed=printed,
+        seconds=reply.seconds,
+        parameters=parameters,
+        y_hat=tuple(np.ascontiguousarray(found[i], "<f8") for i in range(len(data.held_out))),
+        train_y_hat=tuple(np.ascontiguousarray(one, "<f8") for one in train_y_hat),
+        memory_mb=memory,
+        compile_seconds=compiling,
+        numbers=numbers,
+        simulate_seconds=simulating,
+    )
 
 
 class StandbyPool:
@@ -192,10 +202,13 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
                     yield worker
                     worker.count_compiling()
 
-        found = fit_fold(work, decode_data(data, work.data), opened)
-        seconds = {k: v for worker in spent for k, v in worker.spent.items()}
-        level = work.isolation.value
-        return encode_answer(replace(found, machine=machine, isolation=level, spent=seconds))
+        found: FoldAttempt
+        try:
+            found = fit_fold(work, decode_data(data, work.data), opened)
+            found = replace(found, machine=machine, isolation=work.isolation.value)
+        except CandidateError as error:
+            found = error
+        return encode_answer(found, {k: v for worker in spent for k, v in worker.spent.items()})
     except (SandboxError, UserError) as error:
         return encode_trouble(error)
 
@@ -272,10 +285,10 @@ class FoldFitter:
         self._workers, self._problem, self._without = workers, problem, without
         self._data: dict[int, tuple[FoldData, str, bytes]] = {}
 
-    def fit(self, source: str, fold: Fold, start: int, oracle: Oracle | None) -> FoldAnswer:
+    def fit(self, source: str, fold: Fold, start: int, oracle: Oracle | None) -> FoldFit:
         """Fit `source` on a fold; start: another one has another seed. The cancel flag of this
-        thread ends it on a remote machine too. Raises SandboxError, and UserError where a machine
-        is not fit for the work."""
+        thread ends it on a remote machine too. Raises CandidateError and SandboxError, and
+        UserError where a machine is not fit for the work."""
         workers, carrier = self._workers, self._workers.remote
         if fold.index not in self._data:
             data = fold_data(fold, self._rule)
@@ -297,16 +310,15 @@ class FoldFitter:
             layers=tuple(layer.value for layer in layers_in_force(workers.isolation)),
             alone=workers.is_sequential,
         )
-        train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
         if carrier is None:
-            request = encode_work(work, {})
-            work = decode_work(request)
-            fitted = fit_fold(work, data, workers.open_for, oracle, workers.on_loss)
-            return local_answer(fitted, data, train)
+            return fit_fold(work, data, workers.open_for, oracle, workers.on_loss)
         request = encode_work(work, installation())
         with workers.settings.cancel.on_cancel(partial(carrier.forget, request)):
             reply = carrier.carry(answer, request, digest, raw)
-        found = decode_answer(reply, data, train)
-        for activity, (wall, processor) in found.spent.items():
+        train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
+        found, spent = decode_answer(reply, data, train)
+        for activity, (wall, processor) in spent.items():
             workers.stopwatch.add(activity, wall, processor)
+        if isinstance(found, CandidateError):
+            raise found
         return found

@@ -2,17 +2,18 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, TypeAdapter
 
 from asia.candidate import ParameterEstimates
 from asia.data.trajectory import Array
 from asia.errors import CandidateError
+from asia.judge.evaluation.artifacts import ArtifactName, ArtifactStore
 from asia.judge.evaluation.training_checks import TrainingCheck
-from asia.judge.scoring.outcome import Failure, FoldScore, Outcome, combine, score_fold
+from asia.judge.scoring.outcome import Outcome, combine, score_fold
 from asia.judge.scoring.residuals import Diagnostics, SignedResidual
 from asia.problem.folds import Fold
 
@@ -64,73 +65,74 @@ class FoldFindings:
     ledgers."""
 
 
-@dataclass(frozen=True)
-class FoldResult:
-    """Result of one fold."""
+_FINDINGS: TypeAdapter[FoldFindings] = TypeAdapter(FoldFindings)
 
-    score: FoldScore
-    """The errors on the held-out part."""
-    model: bytes
+
+def put_findings(store: ArtifactStore, findings: FoldFindings) -> ArtifactName:
+    """Keep findings and return the name of the artifact."""
+    return store.put(_FINDINGS.dump_json(findings))
+
+
+def get_findings(store: ArtifactStore, name: ArtifactName) -> FoldFindings:
+    """Return the findings in an artifact. Raises UserError as `ArtifactStore.parse`."""
+    return store.parse(name, _FINDINGS)
+
+
+@dataclass(frozen=True)
+class FoldRecord:
+    """One fold of a candidate, in an evaluation and in a ledger. Its score is in the outcome."""
+
+    model: ArtifactName
     """The fitted model; never parsed outside a sandbox."""
-    y_hat: tuple[Array, ...]
+    y_hat: ArtifactName
     """Simulated outputs (H, ny) of each held-out block."""
-    curve: Array
+    curve: ArtifactName
     """Step and loss as logged by the candidate, (n, 2)."""
     diagnostics: Diagnostics
-    seconds: float
+    fit_seconds: float
     validation_scores: int = 0
-    """Number of scores on the held-out part that the candidate requested."""
-    findings: FoldFindings | None = None
-    machine: str = ""
+    """Number of requests of the fit for its score on the held-out part."""
+    findings: ArtifactName | None = None
+    """`FoldFindings`; None in older ledgers."""
+    machine: Annotated[str, Field(exclude_if=lambda value: not value)] = ""
     """The machine that fitted it; "" for the search's own."""
-    isolation: str = ""
-    """The level that was in force there; "" for the search's own."""
-
-
-@dataclass(frozen=True)
-class FoldEnd:
-    """End of the evaluation of one fold, also where it failed."""
-
-    result: FoldResult | Failure
-    """The result, or why there is none."""
-    output: str
-    validation_scores: int
-    """Number of scores on the held-out part that the candidate requested."""
+    isolation: Annotated[str, Field(exclude_if=lambda value: not value)] = ""
+    """The level in force on that machine; "" for the search's own."""
+    attempt: Annotated[int, Field(exclude_if=lambda value: not value)] = 0
+    """Seed of the fit in older ledgers, where the first one fitted the fold's own data badly."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The evaluation of one candidate."""
+    """The evaluation of one candidate on all folds, or on one of them."""
 
     outcome: Outcome
-    folds: tuple[FoldResult, ...] = ()
-    """The results of all folds; empty if one of them failed."""
+    folds: tuple[FoldRecord, ...] = ()
+    """The records of all folds; empty if one of them failed."""
     output: str = ""
     """Text that the candidate printed during the first fold's fit, or that of a fold that failed,
     capped and stripped."""
     validation_scores: int = 0
     """Number of scores on held-out parts that the candidate requested, in all folds, failed ones
     included."""
+    artifacts: ArtifactStore = field(default_factory=ArtifactStore, repr=False, compare=False)
+    """The large parts of `folds`."""
 
     @property
-    def y_hats(self) -> list[tuple[Array, ...]]:
-        """The held-out simulations of each fold."""
-        return [fold.y_hat for fold in self.folds]
+    def findings(self) -> list[FoldFindings]:
+        """Findings of the folds that have some."""
+        names = [fold.findings for fold in self.folds]
+        return [get_findings(self.artifacts, name) for name in names if name is not None]
 
     @property
     def failed_checks(self) -> tuple[str, ...]:
         """Diagnostics that raised an exception, each line once, whatever the number of folds."""
-        findings = [fold.findings for fold in self.folds if fold.findings is not None]
-        return tuple(dict.fromkeys(line for one in findings for line in one.failed))
+        return tuple(dict.fromkeys(line for one in self.findings for line in one.failed))
 
 
-def same_simulations(first: Sequence[Sequence[Array]], again: Sequence[Sequence[Array]]) -> bool:
-    """Return whether every simulation came out bitwise the same; one sequence a fold."""
-    return all(
-        a.tobytes() == b.tobytes()
-        for one, other in zip(first, again, strict=True)
-        for a, b in zip(one, other, strict=True)
-    )
+def same_simulations(first: Sequence[FoldRecord], again: Sequence[FoldRecord]) -> bool:
+    """Return whether every simulation came out bitwise the same."""
+    return all(one.y_hat == other.y_hat for one, other in zip(first, again, strict=True))
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,8 @@ class Refit:
     """The model fitted on all training records, or why there is none."""
     fold: int
     """The number of the fold that was fitted again, from 1."""
-    again: FoldResult | Failure
+    again: Outcome
+    """The outcome of that fold."""
 
 
 def mean_simulation(each: Sequence[tuple[Array, ...] | CandidateError]) -> tuple[Array, ...]:

@@ -19,9 +19,9 @@ from asia.candidate import Context
 from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
-from asia.judge.evaluation.findings import Fitted
+from asia.judge.evaluation.findings import FoldFit
 from asia.judge.evaluation.requests import secret_of, sessions
-from asia.judge.sandbox.types import FitReply, Isolation, Limits, WorkerKilledError
+from asia.judge.sandbox.types import Isolation, Limits, WorkerKilledError
 from asia.problem.folds import Fold
 from asia.problem.protocol import ProtocolRule
 
@@ -29,6 +29,8 @@ _HEAD_BYTES = 8
 
 Blob: TypeAlias = bytes | memoryview
 """Raw bytes of a message."""
+FoldAttempt: TypeAlias = FoldFit | CandidateError
+"""A fitted fold, or why there is none."""
 
 
 @dataclass(frozen=True)
@@ -68,19 +70,6 @@ class FoldWork:
     """The layers of this level that must be in force."""
     alone: bool = False
     """Whether no worker may be started while it runs, since it could tell that one something."""
-
-
-@dataclass(frozen=True)
-class FoldAnswer:
-    """Answer of the machine that fits."""
-
-    result: Fitted | CandidateError
-    printed: str
-    machine: str = ""
-    """The machine, "" for the search's own."""
-    isolation: str = ""
-    """The level that was in force there."""
-    spent: Seconds = field(default_factory=dict[Activity, tuple[float, float]])
 
 
 def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
@@ -124,34 +113,18 @@ def decode_work(request: bytes) -> FoldWork:
     return pickle.loads(_unpacked(request)[1][0])
 
 
-def encode_answer(answer: FoldAnswer) -> bytes:
-    """Candidates' texts as JSON strings, their arrays as raw float64."""
-    return _packed(*_parts(answer))
-
-
-def local_answer(
-    answer: FoldAnswer, data: FoldData, train: Sequence[tuple[int, int]]
-) -> FoldAnswer:
-    """Return the answer that `decode_answer` makes of an encoded one, without copying its arrays:
-    those of long records are large."""
-    head, blobs = _parts(answer)
-    return _answer(json.loads(json.dumps(head)), blobs, data, train)
-
-
-def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
+def encode_answer(result: FoldAttempt, spent: Seconds) -> bytes:
+    """Encode the texts of a candidate as JSON strings, its arrays as raw float64."""
     head: dict[str, Any] = {
-        "printed": answer.printed,
-        "machine": answer.machine,
-        "isolation": answer.isolation,
-        "spent": {activity.value: seconds for activity, seconds in answer.spent.items()},
+        "printed": result.printed,
+        "spent": {activity.value: seconds for activity, seconds in spent.items()},
     }
-    result = answer.result
     if isinstance(result, CandidateError):
-        return {**head, "reason": result.reason.value, "detail": result.detail}, []
-    reply = result.reply
+        return _packed({**head, "reason": result.reason.value, "detail": result.detail}, [])
     head |= {
-        "output": reply.output,
-        "seconds": reply.seconds,
+        "machine": result.machine,
+        "isolation": result.isolation,
+        "seconds": result.seconds,
         "parameters": result.parameters,
         "memory_mb": result.memory_mb,
         "compile_seconds": result.compile_seconds,
@@ -161,9 +134,9 @@ def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
     }
     raw = (
         np.ascontiguousarray(array, "<f8").reshape(-1).view(np.uint8).data
-        for array in (reply.curve, *result.y_hat, *result.train_y_hat)
+        for array in (result.curve, *result.y_hat, *result.train_y_hat)
     )
-    return head, [result.model, *raw]
+    return _packed(head, [result.model, *raw])
 
 
 _TROUBLES: dict[str, type[SandboxError | UserError]] = {
@@ -180,8 +153,10 @@ def encode_trouble(error: SandboxError | UserError) -> bytes:
     return _packed({"trouble": kind, "words": str(error)}, [])
 
 
-def decode_answer(reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]) -> FoldAnswer:
-    """Decode the answer to work on `data`.
+def decode_answer(
+    reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]
+) -> tuple[FoldAttempt, Seconds]:
+    """Decode the answer to work on `data`: the fitted fold, and the time that it took.
 
     Args:
         train: (H, ny) of the blocks of its training records
@@ -200,11 +175,12 @@ def decode_answer(reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]
 
 
 def _answer(
-    head: dict[str, Any], blobs: Sequence[Blob], data: FoldData, train: Sequence[tuple[int, int]]
-) -> FoldAnswer:
-    result: Fitted | CandidateError
+    head: dict[str, Any], blobs: Sequence[bytes], data: FoldData, train: Sequence[tuple[int, int]]
+) -> tuple[FoldAttempt, Seconds]:
+    result: FoldAttempt
+    printed = str(head["printed"])
     if "reason" in head:
-        result = CandidateError(Reason(head["reason"]), str(head["detail"]))
+        result = CandidateError(Reason(head["reason"]), str(head["detail"]), printed)
     else:
         held_out = [one.y.shape for one in data.held_out]
         shapes = [*held_out, *train]
@@ -213,9 +189,11 @@ def _answer(
         y_hat = [_floats(raw, shape) for raw, shape in zip(blobs[2:], shapes, strict=True)]
         curve = _floats(blobs[1], (len(blobs[1]) // 16, 2))
         memory = head["memory_mb"]
-        result = Fitted(
-            reply=FitReply(curve, str(head["output"]), float(head["seconds"])),
+        result = FoldFit(
             model=bytes(blobs[0]),
+            curve=curve,
+            printed=printed,
+            seconds=float(head["seconds"]),
             parameters=tuple((str(name), float(value)) for name, value in head["parameters"]),
             y_hat=tuple(y_hat[: len(held_out)]),
             train_y_hat=tuple(y_hat[len(held_out) :]),
@@ -223,16 +201,17 @@ def _answer(
             compile_seconds=float(head["compile_seconds"]),
             numbers=None if head["numbers"] is None else int(head["numbers"]),
             simulate_seconds=float(head["simulate_seconds"]),
+            machine=str(head["machine"]),
+            isolation=str(head["isolation"]),
         )
     spent = {Activity(k): (float(a), float(b)) for k, (a, b) in head["spent"].items()}
-    return FoldAnswer(result, head["printed"], head["machine"], head["isolation"], spent)
+    return result, spent
 
 
-def _floats(raw: Blob, shape: tuple[int, int]) -> Array:
+def _floats(raw: bytes, shape: tuple[int, int]) -> Array:
     if len(raw) != 8 * math.prod(shape):
         raise ValueError(f"{len(raw)} bytes for an array {shape}")
-    found = np.frombuffer(raw, "<f8").astype(np.float64, copy=isinstance(raw, bytes))
-    return found.reshape(shape)
+    return np.frombuffer(raw, "<f8").astype(np.float64).reshape(shape)
 
 
 def _packed(head: dict[str, Any], blobs: Sequence[Blob]) -> bytes:

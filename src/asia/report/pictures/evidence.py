@@ -159,7 +159,7 @@ def draw_residuals(
     """Autocorrelation of the simulation residuals and their cross-correlation with each input,
     with 99 % bands; all held-out blocks together. Of many outputs those with the lowest fit."""
     assert experiment.score is not None
-    outputs = fold_outputs(run.store, experiment, folds)
+    outputs = fold_outputs(run.store, experiment.folds, folds)
     blocks = [b for fold in folds for b in fold.held_out]
     simulated = [y_hat for fold in outputs for y_hat in fold]
     residual = [

@@ -213,7 +213,7 @@ def draw_simulation(
     outputs and folds with the lowest fit index are shown, and the title says so."""
     score = experiment.score
     assert score is not None
-    outputs = fold_outputs(run.store, experiment, folds)
+    outputs = fold_outputs(run.store, experiment.folds, folds)
     fits = [min(np.inf if f is None else f for f in fold.fit_index) for fold in score.folds]
     shown_folds = lowest(fits, MOST_PANELS // 2)
     channels = lowest(worst_fits(score), MOST_PANELS // len(shown_folds))
@@ -481,7 +481,7 @@ def draw_horizon(
     """Mean error after each sample of the held-out windows, a panel for each output group (for
     each output where the problem names no groups) and a line for each fold; see `mee_table`."""
     simulations: dict[str, tuple[Sequence[Array], Sequence[Array]]] = {}
-    outputs = fold_outputs(run.store, experiment, folds)
+    outputs = fold_outputs(run.store, experiment.folds, folds)
     for fold, y_hat in zip(folds, outputs, strict=True):
         groups = problem.protocol.folds.groups
         held_out = f", {groups[fold.index].name}" if groups else ""

@@ -40,16 +40,16 @@ def test_no_measured_value_is_in_a_made_up_record(
     short = made_up_fold(fold, rule)
     measured = set(np.concatenate([t.y[1:-1, 0] for t in records]).tolist())
     measured |= {-value for value in measured}
-    ends = {t.y[k, 0] for t in short.fold.train for k in (t.y.argmin(), t.y.argmax())}
-    made_up = [*short.fold.train, *short.fold.held_out]
+    ends = {t.y[k, 0] for t in short.train for k in (t.y.argmin(), t.y.argmax())}
+    made_up = [*short.train, *short.held_out]
     values = set(np.concatenate([one.y[:, 0] for one in made_up]).tolist()) - ends
     assert not values & measured
-    assert short.samples == sum(map(len, short.fold.train))
-    assert short.samples <= short.of_samples == sum(map(len, fold.train))
-    assert len(short.fold.held_out) <= 64
-    assert (short.fold.scale > 0).all()
-    if short.of_samples > 2000:
-        assert short.samples < 0.3 * short.of_samples
+    samples, of_samples = (sum(map(len, one.train)) for one in (short, fold))
+    assert samples <= of_samples
+    assert len(short.held_out) <= 64
+    assert (short.scale > 0).all()
+    if of_samples > 2000:
+        assert samples < 0.3 * of_samples
 
 
 def test_made_up_records_have_the_shapes_gaps_and_rough_ranges_of_the_training_records() -> None:
@@ -58,7 +58,7 @@ def test_made_up_records_have_the_shapes_gaps_and_rough_ranges_of_the_training_r
     missing = rng.random((400, 2)) < 0.3
     one = Trajectory(rng.random((400, 3)), y, 0.5, "tank", missing)
     fold = make_folds([one], ProtocolRule())[0]
-    (made_up,) = made_up_fold(fold, ProtocolRule()).fold.train
+    (made_up,) = made_up_fold(fold, ProtocolRule()).train
     assert (made_up.u.shape[1], made_up.y.shape[1], made_up.sampling_time) == (3, 2, 0.5)
     train = fold.train[0]
     assert (made_up.missing == train.missing[: len(made_up)]).all()
@@ -77,7 +77,7 @@ def test_the_same_ranges_give_the_same_records() -> None:
         made_up_fold(make_folds([Trajectory(u, v, 1.0, "a")], ProtocolRule())[0], ProtocolRule())
         for v in (y, np.where(np.abs(y) < 2, y + 1e-4 * rng.normal(size=y.shape), y))
     )
-    assert first.fold.train[0].y.tobytes() == second.fold.train[0].y.tobytes()
+    assert first.train[0].y.tobytes() == second.train[0].y.tobytes()
 
 
 def test_the_estimate_leaves_compilation_as_it_is() -> None:

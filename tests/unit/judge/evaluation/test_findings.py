@@ -7,6 +7,7 @@ import pytest
 
 from asia.judge.evaluation.results import Evaluation
 from asia.judge.sandbox.types import Isolation
+from asia.judge.scoring.outcome import Score
 from asia.ledger.view import replay
 from asia.problem.folds import fold_names, make_folds
 from asia.problem.load import load_problem
@@ -38,43 +39,39 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 
 def test_errors_of_the_outputs_average_to_the_score(evaluation: Evaluation) -> None:
-    for fold in evaluation.folds:
-        assert fold.findings is not None
-        assert np.mean(fold.findings.errors) == pytest.approx(fold.score.value, rel=1e-12)
+    assert isinstance(evaluation.outcome, Score)
+    each = zip(evaluation.folds, evaluation.outcome.folds, evaluation.findings, strict=True)
+    for fold, score, findings in each:
+        assert np.mean(findings.errors) == pytest.approx(score.value, rel=1e-12)
         train = fold.diagnostics.train_error
-        assert np.mean(fold.findings.train_errors) == pytest.approx(train, rel=1e-12)
-        assert fold.findings.steps == ()
+        assert np.mean(findings.train_errors) == pytest.approx(train, rel=1e-12)
+        assert findings.steps == ()
 
 
 def test_each_fold_names_its_parameters_and_its_residuals(evaluation: Evaluation) -> None:
-    for fold in evaluation.folds:
-        assert fold.findings is not None
-        ((name, value),) = fold.findings.parameters
+    for findings in evaluation.findings:
+        ((name, value),) = findings.parameters
         assert name == "first"
         assert value == pytest.approx(1.2, abs=0.1)
-        assert fold.findings.residuals
-        assert fold.findings.compile_seconds == 0.0
-        assert fold.findings.numbers == 5  # weights of two outputs and three inputs
-        assert fold.findings.sample_seconds is not None
-        assert fold.findings.sample_seconds > 0.0
+        assert findings.residuals
+        assert findings.compile_seconds == 0.0
+        assert findings.numbers == 5  # weights of two outputs and three inputs
+        assert findings.sample_seconds is not None
+        assert findings.sample_seconds > 0.0
 
 
 def test_a_fit_is_heard_and_a_simulation_of_held_out_cases_is_not(evaluation: Evaluation) -> None:
-    for fold in evaluation.folds:
-        assert fold.findings is not None
-        assert fold.findings.printed == "loss 0.5\n"
+    assert [findings.printed for findings in evaluation.findings] == ["loss 0.5\n"] * 2
 
 
 def test_held_out_residuals_are_found_only_where_the_problem_shows_them(
     evaluation: Evaluation, tmp_path: Path
 ) -> None:
     shown = evaluated(tmp_path, NAMED, "held_out")
-    for hidden, fold in zip(evaluation.folds, shown.folds, strict=True):
-        assert hidden.findings is not None
-        assert fold.findings is not None
-        assert hidden.findings.held_out_residuals == ()
-        assert fold.findings.held_out_residuals != ()
-        assert fold.findings.held_out_residuals != fold.findings.residuals
+    for hidden, findings in zip(evaluation.findings, shown.findings, strict=True):
+        assert hidden.held_out_residuals == ()
+        assert findings.held_out_residuals != ()
+        assert findings.held_out_residuals != findings.residuals
 
 
 def test_a_fit_that_fails_is_heard(tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_windows_of_the_library_go_side_by_side_and_those_of_other_code_one_by_o
     alone = judge.evaluate(f"{LINEAR}\nOWN = [*range(3)]\n")
     assert set(rows) == {1}
     assert value(together) == pytest.approx(value(alone), rel=1e-9)
-    assert judge.objection(LINEAR, together.folds) is None
+    assert judge.objection(LINEAR, together) is None
     # Whole records are asked as those of other code are.
     assert not side_by_side(LINEAR, ProtocolRule())
 
@@ -166,8 +166,8 @@ def test_a_curve_that_remembers_windows_is_refused() -> None:
     """A fresh worker that is asked in another order knows other ones."""
     judge, source = evaluator(), CURVE.replace("REMEMBER", "True")
     scored = evaluator(without=[SuspicionKind.STRANGERS]).evaluate(source)
-    failure = judge.objection(source, scored.folds)
+    failure = judge.objection(source, scored)
     assert failure is not None
     assert failure.reason is Reason.SUSPECT
     assert "strangers" in failure.detail
-    assert judge.objection(HOLD, judge.evaluate(HOLD).folds) is None
+    assert judge.objection(HOLD, judge.evaluate(HOLD)) is None

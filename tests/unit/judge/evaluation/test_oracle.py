@@ -19,7 +19,7 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.process import Channel
-from asia.judge.scoring.outcome import Failure
+from asia.judge.scoring.outcome import Failure, Score
 from asia.problem import Budget
 from asia.problem.folds import make_folds
 from asia.problem.protocol import EarlyStopping, ProtocolRule
@@ -133,9 +133,11 @@ def test_the_best_reported_score_is_the_score_of_the_fold(
     isolation: Isolation, horizon: int | None
 ) -> None:
     found = evaluator(isolation=isolation, horizon=horizon).evaluate(descent())
-    for fold in found.folds:
-        assert fold.validation_scores == 12 == len(fold.curve)
-        assert fold.curve[:, 1].min() == rounded_score(fold.score.value)
+    assert isinstance(found.outcome, Score)
+    for fold, score in zip(found.folds, found.outcome.folds, strict=True):
+        (curve,) = found.artifacts.get_arrays(fold.curve, [(12, 2)])
+        assert fold.validation_scores == 12
+        assert curve[:, 1].min() == rounded_score(score.value)
     assert found.validation_scores == 24
 
 
@@ -150,7 +152,8 @@ def test_stopping_by_it_saves_a_fit_that_goes_astray() -> None:
     assert value(evaluator().evaluate(sound)) <= value(told) < 0.8 * value(blind)
     assert blind.validation_scores == 0
     assert [f.validation_scores for f in blind.folds] == [0, 0]
-    assert blind.folds[0].curve.tolist() == [[-1.0, 0.0]]
+    (curve,) = blind.artifacts.get_arrays(blind.folds[0].curve, [(1, 2)])
+    assert curve.tolist() == [[-1.0, 0.0]]
 
 
 def test_the_worker_that_trains_gets_a_number_and_no_case(

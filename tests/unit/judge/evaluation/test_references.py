@@ -112,9 +112,10 @@ def test_a_candidate_is_judged_on_windows() -> None:
     evaluation = found.evaluate(HOLD)
     assert isinstance(evaluation.outcome, Score)
     assert evaluation.outcome.value == pytest.approx(references(windows(1))["last output held"])
-    assert [len(f.y_hat) for f in evaluation.folds] == [8, 8]
-    assert evaluation.folds[0].y_hat[0].shape == (10, 3)
-    assert found.objection(HOLD, evaluation.folds) is None
+    for record, fold in zip(evaluation.folds, found.data.folds, strict=True):
+        assert fold.shapes == [(10, 3)] * 8
+        assert len(evaluation.artifacts.get_arrays(record.y_hat, fold.shapes)) == 8
+    assert found.objection(HOLD, evaluation) is None
 
 
 @pytest.mark.long

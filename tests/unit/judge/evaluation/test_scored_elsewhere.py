@@ -54,7 +54,8 @@ def test_candidates_scored_elsewhere_are_asked_again() -> None:
     drawn = FIT.replace("u[:, k]\n", "u[:, k] + 1e-3 * np.random.default_rng().random()\n")
     assert drawn != FIT
     for text, fine in ((FIT, True), (drawn, False)):
-        models = [fold.model for fold in judge.evaluate(text).folds]
+        scored = judge.evaluate(text)
+        models = [scored.artifacts.get(fold.model) for fold in scored.folds]
         blocks = judge.data.folds[0].held_out
         assert len(judge.models.simulate(text, models, blocks)) == 2
         for found in judge.models.simulate_scored([(text, m) for m in models], blocks):

@@ -53,7 +53,7 @@ def failure(worker, case, source: str) -> CandidateError:
 def test_the_candidate_gets_the_whole_context_and_read_only_records(worker, case):
     physics = Physics(("x",), {"x": "-k*x + u"}, {"k": ParameterRange(0.1, 1.0)})
     context = Context(
-        (Signal("u", "V"),), (Signal("a"), Signal("b")), 0.1, 5, 3, 40, "mae", physics, 7
+        (Signal("u", "V"),), (Signal("a"), Signal("b")), 0.1, 5, 3, 40, "mae", physics, seed=7
     )
     source = GAIN.replace(
         "    print(",

@@ -11,7 +11,7 @@ import asia
 from asia.analysis.ablation import ablate, crossed, without_change
 from asia.errors import UserError
 from asia.judge.scoring.repeated_fits import attribute
-from asia.ledger.events import AblationFit
+from asia.ledger.events import Fit
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from tests.unit.interfaces.cli.conftest import command_line
@@ -86,7 +86,7 @@ def searched(root: Path, baseline: str, *sources: str) -> Path:
     ).directory
 
 
-def quietly(event: AblationFit, done: int, total: int) -> None:
+def quietly(event: Fit, done: int, total: int) -> None:
     assert 1 <= done <= total
 
 
@@ -112,14 +112,14 @@ def test_each_change_of_the_lineage_is_left_out_and_nothing_is_fitted_twice(
     run = searched(
         tmp_path, candidate(1, ridge=300.0), candidate(2, ridge=300.0), candidate(2, ridge=0.0)
     )
-    fits: list[AblationFit] = []
+    fits: list[Fit] = []
     found, _ = ablate(run, lambda event, done, total: fits.append(event), seeds=3)
     losses = {one.experiment: one.loss for one in found.left_out}
     assert set(losses) == {2, 3}
     assert all(loss is not None and loss.value > 0 for loss in losses.values())
     # Fits that do not depend on the seed are seen to do so: by the search's own, or by two.
-    assert max(fit.repeat for fit in fits) <= 2
-    again: list[AblationFit] = []
+    assert max(fit.seed for fit in fits) <= 2
+    again: list[Fit] = []
     assert ablate(run, lambda event, done, total: again.append(event), seeds=3) == (found, False)
     assert again == []
     assert open_run(run).view.ablated == found

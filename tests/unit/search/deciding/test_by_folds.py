@@ -57,8 +57,10 @@ def test_a_gain_must_show_in_all_folds_together_and_no_fold_may_lose(
     best: Any = SimpleNamespace(
         folds=[SimpleNamespace(y_hat=store.put_arrays(one)) for one in before]
     )
-    folds: Any = [SimpleNamespace(y_hat=one) for one in after]
-    assert fold_doubt(cast(Any, SimpleNamespace(data=known)), folds, best, store) == status
+    found: Any = SimpleNamespace(
+        artifacts=store, folds=[SimpleNamespace(y_hat=store.put_arrays(one)) for one in after]
+    )
+    assert fold_doubt(cast(Any, SimpleNamespace(data=known)), found, best, store) == status
 
 
 def test_one_parameter_too_many_does_not_replace_the_right_model(tmp_path: Path) -> None:

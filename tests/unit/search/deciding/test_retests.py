@@ -14,11 +14,11 @@ import asia
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.results import Evaluation, FoldRecord
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import Failure, Score
 from asia.judge.scoring.repeated_fits import significance_threshold
-from asia.ledger.events import Evaluated, Event, Proposed, ReferenceScored, Retest, Started
+from asia.ledger.events import Evaluated, Event, Fit, Proposed, ReferenceScored, Started
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.text import decision_text, method_note, threshold_text
 from asia.ledger.view import Experiment, SearchView, replay
@@ -50,10 +50,10 @@ class Fits(Evaluator):
         outcome = self.outcomes[len(self.starts) - 1]
         if isinstance(outcome, Failure):
             return Evaluation(outcome)
-        fold = SimpleNamespace(y_hat=(np.array([outcome]),))
-        return Evaluation(Score(outcome, ()), (cast(FoldResult, fold),))
+        fold = SimpleNamespace(y_hat=str(outcome))
+        return Evaluation(Score(outcome, ()), (cast(FoldRecord, fold),))
 
-    def objection(self, source: str, folds: object) -> None:
+    def objection(self, source: str, evaluation: object) -> None:
         """None."""
 
 
@@ -64,7 +64,7 @@ def a_search(retests: int, *incumbent: float) -> SearchView:
         retests=retests,
     )  # fmt: skip
     first, *others = incumbent
-    again = tuple(Retest(value, same=value == first) for value in others)
+    again = tuple(Fit(7, "retest", value, same=value == first) for value in others)
     events: list[Event] = [
         start,
         Proposed(1, None, "baseline", "f", "t", "h", "e", "s", "d"),
@@ -242,7 +242,7 @@ def test_the_fit_with_the_lowest_v_is_the_best_whatever_is_said_of_its_method(
 def test_a_retest_that_failed_is_not_called_equal() -> None:
     view = a_search(2, *NOISY)
     found, _ = judged(view, 0.50, 1.60)
-    failed = replace(found, retests=(Retest(failed="crash"),))
+    failed = replace(found, retests=(Fit(7, "retest", failed="crash"),))
     note = method_note(with_another(view, 2, failed))
     assert note.startswith("a fit of #02 from another seed failed, so #01 remains the incumbent; ")
 

@@ -11,9 +11,8 @@ import pytest
 from asia.analysis.confirmation import confirm
 from asia.errors import UserError
 from asia.judge.evaluation.results import derive_seed
-from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.chain import Chain
-from asia.ledger.events import Confirmed, Repeated
+from asia.ledger.events import Confirmed, Fit
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_problem
@@ -53,13 +52,13 @@ def run(once: Path, tmp_path: Path) -> Path:
     return root / "runs" / once.name
 
 
-def quietly(event: Repeated, done: int, total: int) -> None:
+def quietly(event: Fit, done: int, total: int) -> None:
     assert 1 <= done <= total
 
 
 @pytest.mark.long
 def test_seeds_are_fresh_and_a_fit_without_luck_is_repeated_once(run: Path) -> None:
-    heard: list[Repeated] = []
+    heard: list[Fit] = []
     found, new = confirm(run, lambda event, done, total: heard.append(event), top=3, seeds=3)
     assert new
     by_number = {c.experiment: c for c in found.candidates}
@@ -71,7 +70,7 @@ def test_seeds_are_fresh_and_a_fit_without_luck_is_repeated_once(run: Path) -> N
         assert by_number[number].repeats == 3
         assert not by_number[number].deterministic
         assert by_number[number].value.value != by_number[number].first
-    values = {(e.experiment, e.outcome.value) for e in heard if isinstance(e.outcome, Score)}
+    values = {(e.experiment, e.value) for e in heard if e.value is not None}
     assert len(values) == len(heard) == 7
     assert found.noise is not None
     assert found.noise > 0
@@ -96,9 +95,9 @@ def test_what_is_in_the_ledger_is_not_fitted_again(run: Path) -> None:
     first, _ = confirm(run, quietly, top=2, seeds=2)
     ledger = run / "ledger.jsonl"
     whole = ledger.read_bytes()
-    heard: list[Repeated] = []
+    heard: list[Fit] = []
 
-    def listen(event: Repeated, done: int, total: int) -> None:
+    def listen(event: Fit, done: int, total: int) -> None:
         heard.append(event)
 
     again, new = confirm(run, listen, top=2, seeds=2)
@@ -112,7 +111,7 @@ def test_what_is_in_the_ledger_is_not_fitted_again(run: Path) -> None:
     assert len(heard) == 1
     heard.clear()
     more, _ = confirm(run, listen, top=2, seeds=3)
-    assert all(event.repeat == 3 for event in heard)
+    assert all(event.seed == 3 for event in heard)
     assert more.seeds == 3
 
 
@@ -125,7 +124,7 @@ def test_a_search_that_goes_on_is_no_longer_confirmed_and_keeps_its_repeats(run:
     ready = prepare(problem, agent.name, seed=0, runs=run.parent)
     view = search(ready, agent, lambda event, view: None, lambda view: None)
     assert view.confirmed is None
-    assert len(view.repeats) == 1
+    assert len(view.fits) == 1
     assert len(view.experiments) == 5
     verify(run)
 
@@ -135,7 +134,7 @@ def test_a_ledger_that_has_a_repeat_twice_is_refused(run: Path) -> None:
     confirm(run, quietly, top=1, seeds=1)
     view = open_run(run).view
     with Chain(run / "ledger.jsonl") as chain:
-        chain.append(view.repeats[0])
+        chain.append(view.fits[0])
     with pytest.raises(UserError, match="twice"):
         verify(run)
     with pytest.raises(UserError, match="twice"):
@@ -150,8 +149,8 @@ def test_a_seed_that_fails_is_counted_and_left_out(tmp_path: Path) -> None:
     source = FICKLE.replace("SIZE", "0.01").replace("KNOWN", str([*own, *other]))
     directory = searched(tmp_path, source)
     found, _ = confirm(directory, quietly, top=1, seeds=3)
-    repeats = open_run(directory).view.repeats
-    assert [isinstance(r.outcome, Failure) for r in repeats] == [True, False, True]
+    repeats = open_run(directory).view.fits
+    assert [r.value is None for r in repeats] == [True, False, True]
     (one,) = found.candidates
     assert (one.failed, one.repeats, one.spread) == (2, 1, None)
     assert found.noise is None

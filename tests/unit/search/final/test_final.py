@@ -120,8 +120,8 @@ def test_a_sound_refit_is_kept_with_its_evidence(tmp_path: Path) -> None:
     assert refitted.model is not None
     assert refitted.check is not None
     (start,) = refitted.check.starts
-    assert start.objection == ""
-    assert start.error == pytest.approx(refitted.check.ensemble_error, rel=0.2)
+    assert start.failed == ""
+    assert start.value == pytest.approx(refitted.check.ensemble_error, rel=0.2)
     assert len(refitted.check.fold_errors) == 2
     assert start.disagreement is not None
     assert refitted.check.fold_disagreement is not None
@@ -141,7 +141,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     refitted = ended(view)
     assert refitted.model is None
     assert refitted.check is not None
-    assert [start.error for start in refitted.check.starts] == [pytest.approx(1.2, rel=0.02)]
+    assert [start.value for start in refitted.check.starts] == [pytest.approx(1.2, rel=0.02)]
     assert refitted.use == "ensemble"
     assert refitted.reason.startswith("The refit does not fit its own training records (error 1.2")
     verify(directory)
@@ -171,7 +171,7 @@ def test_another_start_is_tried_where_the_first_falls_short(tmp_path: Path) -> N
     directory, view = go(tmp_path, off(f"context.seed == {first}"))
     refitted = ended(view)
     assert refitted.check is not None
-    assert [bool(start.objection) for start in refitted.check.starts] == [True, False]
+    assert [bool(start.failed) for start in refitted.check.starts] == [True, False]
     assert refitted.model is not None
     assert np.isfinite(answer(directory, "refit")).all()
 
@@ -243,7 +243,7 @@ def test_a_refit_that_fails_or_does_not_answer_like_a_model_is_none(
     assert refitted.model is None
     assert refitted.check is not None
 
-    assert re.search(words, refitted.check.starts[0].objection), refitted.check.starts
+    assert re.search(words, refitted.check.starts[0].failed), refitted.check.starts
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from asia.data import Array
-from asia.ledger.events import RefitCheck, RefitStart, Stack, StackMember
+from asia.ledger.events import Fit, RefitCheck, Stack, StackMember
 from asia.search.final import MOST_MEMBERS, NEAR, FinalEvidence, choose_model, stack_weights
 
 values = arrays(
@@ -41,7 +41,7 @@ def test_weights_are_inverse_to_the_fourth_power_of_v() -> None:
 def evidence(
     refit: float, ensemble: float, disagreement: float, stack: float | None = None, folds: int = 3
 ) -> FinalEvidence:
-    start = RefitStart(refit, disagreement, "")
+    start = Fit(0, "refit", refit, disagreement=disagreement)
     check = RefitCheck((ensemble,) * folds, ensemble, disagreement, (start,), 1)
     members = StackMember(2, 0.6), StackMember(3, 0.4)
     made = None if stack is None else Stack(members, stack, (stack,) * folds)

@@ -66,7 +66,7 @@ def _overlays(subject: Subject) -> list[Overlay]:
     assert problem.control is not None
     assert best is not None
     control, found = problem.control, list[Overlay]()
-    outputs = fold_outputs(subject.run.store, best, subject.folds)
+    outputs = fold_outputs(subject.run.store, best.folds, subject.folds)
     start = np.array([a.start for a in control.actuators])
     ranges = np.array([a.max - a.min for a in control.actuators])
     for fold, y_hat in zip(subject.folds, outputs, strict=True):

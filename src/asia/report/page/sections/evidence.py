@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 
 from asia._files import read_file
 from asia._text import one_line
+from asia.judge.evaluation.results import get_findings
 from asia.judge.scoring.checks.check import Verdict
 from asia.ledger.events import Confirmed, Validated
 from asia.ledger.evidence import (
@@ -19,7 +20,6 @@ from asia.ledger.evidence import (
     IdentifiedModel,
     IdentifiedParameter,
     get_curves,
-    get_findings,
     identified,
 )
 from asia.ledger.run import Run

@@ -259,9 +259,9 @@ def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
         if check.ensemble_error is not None:
             rows.append(["ensemble", value("check.ensemble_error", check.ensemble_error), None])
         for k, start in enumerate(check.starts):
-            objection = join((" ", said(f"({start.objection})"))) if start.objection else None
+            objection = join((" ", said(f"({start.failed})"))) if start.failed else None
             name = join(("refit" if check.kept == k + 1 else "refit, not used", objection))
-            error = value(f"check.starts.{k}.error", start.error) or "no answer"
+            error = value(f"check.starts.{k}.value", start.value) or "no answer"
             apart = value(f"check.starts.{k}.disagreement", start.disagreement)
             rows.append([name, error, apart])
     if rows:
@@ -284,12 +284,12 @@ def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
         )
     if again is not None:
         fold = subject.number(refitted, "again.fold", "count")
-        if again.ratio is None:
+        if again.value is None:
             yield tag("p", "A second fit of fold ", fold, " failed: ", said(again.failed), ".")
-        elif again.ratio == 1.0:
+        elif again.value == 1.0:
             yield tag("p", "A second fit of fold ", fold, " gave the same result.")
         else:
-            ratio = subject.number(refitted, "again.ratio", "sig4")
+            ratio = subject.number(refitted, "again.value", "sig4")
             yield tag(
                 "p", "A second fit of fold ", fold, " has ", ratio, " times the error of the first."
             )
@@ -502,8 +502,8 @@ def held_out_overlays(
     problem, score, folds = subject.problem, experiment.score, subject.folds
     if problem is None or score is None:
         return []
-    outputs = fold_outputs(subject.run.store, experiment, folds)
-    beside = [fold_outputs(other.run.store, e, folds) for other, e in others]
+    outputs = fold_outputs(subject.run.store, experiment.folds, folds)
+    beside = [fold_outputs(other.run.store, e.folds, folds) for other, e in others]
     overlays: list[Overlay] = []
     for channel in lowest(worst_fits(score), max(1, MOST_PANELS // len(folds))):
         for k, (fold, y_hat) in enumerate(zip(folds, outputs, strict=True)):

@@ -7,7 +7,7 @@ from asia._timer import duration
 from asia.interfaces.cli.output import Terminal, experiment_line
 from asia.interfaces.cli.show import describe
 from asia.judge.scoring.outcome import Score
-from asia.ledger.events import Retest, Status
+from asia.ledger.events import Fit, Status
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
 from asia.ledger.view import Experiment
@@ -43,7 +43,7 @@ def test_v_stands_beside_v_and_a_mean_beside_a_mean(searched: Searched) -> None:
         assert one.result
         result = replace(
             one.result, status=status, outcome=Score(values[0], one.score.folds), lowest=lowest,
-            retests=tuple(Retest(value) for value in values[1:]),
+            retests=tuple(Fit(7, "retest", value) for value in values[1:]),
         )  # fmt: skip
         return Experiment(replace(one.proposed, experiment=number), result)
 
