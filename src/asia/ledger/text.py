@@ -162,12 +162,10 @@ def describe_result(e: Experiment, view: SearchView) -> str:
         return "being evaluated"
     text = ""
     if e.score:
-        text = f"{view.v_name} = {error_value(e.score.value)}"
-        if e.score.folds:
-            folds = ", ".join(error_value(f.value) for f in e.score.folds)
-            inner = view.started.early_stopping == "inner"
-            asked = "" if inner else f", {validation_score_words(result)}"
-            text += f" (folds {folds}{asked})"
+        folds = ", ".join(error_value(f.value) for f in e.score.folds)
+        inner = view.started.early_stopping == "inner"
+        asked = "" if inner else f", {validation_score_words(result)}"
+        text = f"{view.v_name} = {error_value(e.score.value)} (folds {folds}{asked})"
         if any(r.same for r in result.retests):
             text += "; the fit is the same for every seed"
         else:

@@ -12,7 +12,7 @@ from asia.data.intake.conversion import take_in
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 from asia.judge.scoring.euclidean_error import mee_table
-from asia.judge.scoring.outcome import fit_index, score_fold, score_test, without_gaps
+from asia.judge.scoring.outcome import fit_index, score_fold, score_parts, score_test, without_gaps
 from asia.problem.create import init_problem, record_csv
 from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
@@ -116,9 +116,9 @@ def test_scores_count_only_measured_samples(metric: str) -> None:
         np.sqrt((error[k, c] ** 2).mean()) if metric == "rmse" else error[k, c].mean()
         for c, k in enumerate(known.T)
     ]
-    found = score_fold([lost.measured_y], [y_hat], scale, metric, in_parts=True)
+    found = score_fold([lost.measured_y], [y_hat], scale, metric)
     assert found.value == pytest.approx(np.mean(each / scale))
-    assert len(found.parts) == 8
+    assert len(score_parts([lost.measured_y], [y_hat], scale, metric)) == 8
     test = score_test([lost.measured_y], [y_hat], metric, skip=0)
     assert test.per_channel == pytest.approx(each)
     wild = np.where(known, y_hat, 1e6)

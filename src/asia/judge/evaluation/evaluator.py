@@ -47,7 +47,7 @@ from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.worker.worker import Worker
-from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
+from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_parts
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
 from asia.problem.folds import Fold, inner_folds, whole
@@ -395,7 +395,7 @@ class Evaluator:
         def parts(fold: Fold) -> tuple[float, ...]:
             fitted = self._fitter.fit(source, fold, 0, None)
             y = [block.y for block in fold.held_out]
-            return score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=True).parts
+            return score_parts(y, fitted.y_hat, fold.scale, rule.metric)
 
         if source not in self._inner_errors:
             try:

@@ -63,13 +63,11 @@ class FoldScore:
     """Fit index of each output in percent; None where the held-out output does not move."""
     r2: tuple[float | None, ...]
     """R^2 of each output; None where the held-out output does not move."""
-    parts: tuple[float, ...] = ()
-    """`value` on PARTS equal parts of the held-out samples; () where nothing asks for it."""
     other: tuple[float, ...] = ()
     """The problem's metric of each output where it is neither RMSE nor MAE, else ()."""
 
     def __post_init__(self) -> None:
-        lists = self.rmse, self.mae, self.fit_index, self.r2, self.parts, self.other
+        lists = self.rmse, self.mae, self.fit_index, self.r2, self.other
         numbers = (self.value, *chain.from_iterable(lists))
         if not all(n is None or math.isfinite(n) for n in numbers):
             raise InternalError("a score that is not finite was about to be recorded")
@@ -137,9 +135,7 @@ def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
         raise CandidateError(Reason.NOT_FINITE)
 
 
-def score_fold(
-    y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str, *, in_parts: bool = False
-) -> FoldScore:
+def score_fold(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str) -> FoldScore:
     """Score the simulated blocks of one fold.
 
     The metric of each channel is taken over all measured samples of all blocks, divided by scale
@@ -148,7 +144,6 @@ def score_fold(
     Args:
         y, y_hat: one (H, ny) array a block
         scale: (ny,)
-        in_parts: fill `FoldScore.parts`
 
     Raises:
         CandidateError: for a reply of the wrong size or not finite
@@ -161,16 +156,22 @@ def score_fold(
     value = judge.shortfall(a, b, scale)
     if not math.isfinite(value):
         raise CandidateError(Reason.NOT_FINITE)
-    parts: tuple[float, ...] = ()
-    if in_parts:
-        cut = zip(np.array_split(a, PARTS), np.array_split(b, PARTS), strict=True)
-        found = (judge.shortfall(c, d, scale) for c, d in cut if len(c))
-        # A part may have no measured sample.
-        parts = tuple(one for one in found if not math.isnan(one))
     indices = _defined(fit_index(a, b)), _defined(r2(a, b))
     rmse, mae = (_t(METRICS[name].values(a, b)) for name in ("rmse", "mae"))
     other = () if metric in ("rmse", "mae") else _t(judge.values(a, b))
-    return FoldScore(value, rmse, mae, *indices, parts, other)
+    return FoldScore(value, rmse, mae, *indices, other)
+
+
+def score_parts(
+    y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str
+) -> tuple[float, ...]:
+    """Score `PARTS` equal parts of the samples of one fold, without those in which nothing was
+    measured; arguments and errors as for `score_fold`, whose value it takes of each part."""
+    score_fold(y, y_hat, scale, metric)
+    judge = find_metric(metric)
+    cut = zip(np.array_split(pooled(y), PARTS), np.array_split(pooled(y_hat), PARTS), strict=True)
+    found = (judge.shortfall(a, b, scale) for a, b in cut if len(a))
+    return tuple(one for one in found if not math.isnan(one))
 
 
 def combine(folds: Sequence[FoldScore]) -> Score:

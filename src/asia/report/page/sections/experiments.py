@@ -94,7 +94,7 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
     if p.parent is not None:
         parent = tag("a", subject.number(p, "parent", "number"), href=f"#e{p.parent}")
     folds = None
-    if e.score is not None and result is not None and e.score.folds:
+    if e.score is not None and result is not None:
         places = [f"outcome.folds.{k}.value" for k in range(len(e.score.folds))]
         folds = join((subject.number(result, place, "error") for place in places), ", ")
     pairs = (
