@@ -32,12 +32,13 @@ def _omitted(default: object) -> Any:
 
 _FailedChecks = Annotated[tuple[str, ...], _omitted(())]
 
-# The winner with parts taken back, fitted again, and what the gain is due to.
+# The best candidate with parts taken back, fitted again, and what the gain is due to.
 
 
 @dataclass(frozen=True)
 class AblationFit:
-    """A variant of the winner fitted on every fold, from a seed that the evaluator chose."""
+    """A variant of the best candidate fitted on every fold, from a seed that the evaluator
+    chose."""
 
     variant: str
     source: ArtifactName
@@ -53,7 +54,7 @@ class AblationFit:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """The winner without what one experiment of its lineage changed."""
+    """The best candidate without what one experiment of its lineage changed."""
 
     experiment: int
     """The experiment that brought the change."""
@@ -211,7 +212,8 @@ class Confirmed:
     seeds: int
     """Repeats of a candidate whose fits depend on the seed."""
     tried: int
-    """Candidates with a score and a source of their own, which the winner was the best of."""
+    """Candidates with a score and a source of their own, of which the handed-over one was
+    the best."""
     level: float
     """The level at which all differences hold together."""
     candidates: tuple[ConfirmedCandidate, ...]
@@ -220,8 +222,8 @@ class Confirmed:
     noise: float | None
     """Standard deviation of V over seeds, pooled over the candidates; None if not known."""
     expected: ExpectedError | None
-    """The error to expect of the winner's fold models, as the search fitted them, on a new record,
-    in the measure of V; None where it is not known."""
+    """The error to expect of the best candidate's fold models, as the search fitted them, on a new
+    record, in the measure of V; None where it is not known."""
     expected_level: float = 0.9
     ensemble: Interval | None = None
     """The same of the mean of the fold models' simulations; None if not known."""
@@ -240,7 +242,7 @@ Use = Literal["ensemble", "refit", "stack"]
 
 @dataclass(frozen=True)
 class RefitStart:
-    """One fit of the winner to all training records, compared with the fold models."""
+    """One fit of the best candidate to all training records, compared with the fold models."""
 
     error: float | None
     """Its error on the training records, in the metric of V; None where it gives no answer."""
@@ -290,8 +292,8 @@ class Stack:
 
 @dataclass(frozen=True)
 class Feedback:
-    """Inputs that follow earlier outputs in the training records, and a winner that was fitted as
-    if they did not."""
+    """Inputs that follow earlier outputs in the training records, and a best candidate that was
+    fitted as if they did not."""
 
     inputs: tuple[str, ...]
     pole: float | None
@@ -652,7 +654,7 @@ class Noted:
 
 @dataclass(frozen=True)
 class Again:
-    """A fold of the winner fitted a second time, with the same seed."""
+    """A fold of the best candidate fitted a second time, with the same seed."""
 
     fold: int
     ratio: float | None
@@ -662,7 +664,7 @@ class Again:
 
 @dataclass(frozen=True)
 class Refitted:
-    """The winner fitted once more on all training data."""
+    """The best candidate fitted once more on all training data."""
 
     experiment: int
     model: ArtifactName | None
@@ -675,7 +677,7 @@ class Refitted:
     check: RefitCheck | None = None
     """Comparison of the refit with the fold models; None in older ledgers."""
     stack: Stack | None = None
-    """The weighted mean of several experiments; None where it would be the winner alone."""
+    """The weighted mean of several experiments; None where it would be the best candidate alone."""
     use: Use | None = None
     """The model to use; None in older ledgers."""
     reason: str = ""
@@ -776,7 +778,7 @@ class Unsealed:
     """The test outputs, one (lengths[i], ny) array a trajectory."""
     ensemble: TestedModel | Failure
     refit: TestedModel | Failure | None
-    """The winner fitted on all training data."""
+    """The best candidate fitted on all training data."""
     horizon: int | None = None
     """Samples of a window, None for long simulations. A trajectory's windows stand one after the
     other; the last may repeat some samples."""

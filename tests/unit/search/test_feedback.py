@@ -181,7 +181,7 @@ def judged_as_without_the_ladder(
     confirm: object = None,
     store: object = None,
 ) -> Decision:
-    """Only a would-be winner is doubted."""
+    """Only a would-be best candidate is doubted."""
     del first, proposed, confirm, store
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
