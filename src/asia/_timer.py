@@ -47,7 +47,7 @@ class Activity(StrEnum):
     REFERENCES = "references"
     """The reference models are scored."""
     REFIT = "refit"
-    """The winner fitted on all records, and a second time on a fold."""
+    """The best candidate fitted on all records, and a second time on a fold."""
     GUARD = "guard"
     """The look at the guard records."""
     AGENT = "agent"

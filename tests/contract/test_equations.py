@@ -112,7 +112,7 @@ def test_measured_windows_step_in_numpy_as_in_jax() -> None:
     physics = replace(PHYSICS, observation={"height": "level", "current": "speed"})
     context = replace(CONTEXT, physics=physics, horizon=10)
     structure = greybox.build(greybox.Config(linear=True), context).structure
-    assert structure.measured
+    assert structure.states_measured
     both_ways(structure)
 
 

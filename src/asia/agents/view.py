@@ -312,7 +312,7 @@ class Closing(Protocol):
     """An agent that has something to end when the search is over."""
 
     def stopped(self, reason: StopReason) -> None:
-        """The search has stopped. Called once, before the winner is fitted on all data."""
+        """The search has stopped. Called once, before the best candidate is fitted on all data."""
         ...
 
     def leaving(self) -> None:

@@ -1,4 +1,4 @@
-"""Ablation: the winner with parts taken back, and the source of its gain."""
+"""Ablation: the best candidate with parts taken back, and the source of its gain."""
 
 import ast
 import time
@@ -78,33 +78,34 @@ def _needed(source: str, name: str) -> list[ast.stmt]:
         expected |= {node.id for node in nodes if isinstance(node, ast.Name)}
 
 
-def without_change(winner: str, before: str, after: str) -> str | None:
-    """The winner without what changed from `before` to `after`, two candidates of its lineage; None
-    where nothing of that change is left in it. Raises UserError where it cannot be taken back
-    alone."""
-    whole, old, new = (read_recipe(source) for source in (winner, before, after))
+def without_change(best: str, before: str, after: str) -> str | None:
+    """The best candidate without what changed from `before` to `after`, two candidates of its
+    lineage; None where nothing of that change is left in it. Raises UserError where it cannot be
+    taken back alone."""
+    whole, old, new = (read_recipe(source) for source in (best, before, after))
     if whole is None or old is None or new is None:
-        found = _statements_without(winner, before, after)
+        found = _statements_without(best, before, after)
     else:
         found = _recipe_without(whole, old, new).source("")
-    return None if source_digest(found) == source_digest(winner) else found
+    return None if source_digest(found) == source_digest(best) else found
 
 
-def _recipe_without(winner: Recipe, before: Recipe, after: Recipe) -> Recipe:
+def _recipe_without(best: Recipe, before: Recipe, after: Recipe) -> Recipe:
     if (before.package, before.family) != (after.package, after.family):
         raise UserError("it changes the family: see model and training crossed")
-    taken = replace(winner, config=_settings_without(winner.config, before.config, after.config))
+    taken = replace(best, config=_settings_without(best.config, before.config, after.config))
     if before.method == after.method:
-        options = _settings_without(winner.options, before.options, after.options)
+        options = _settings_without(best.options, before.options, after.options)
         return replace(taken, options=options)
-    if winner.method == after.method:
+    if best.method == after.method:
         return replace(taken, method=before.method, options=before.options)
     return taken
 
 
-def _settings_without(winner: Arguments, before: Arguments, after: Arguments) -> Arguments:
-    """A setting is taken back where the winner still has the value that the change gave it."""
-    settings, old, new = dict(winner), dict(before), dict(after)
+def _settings_without(best: Arguments, before: Arguments, after: Arguments) -> Arguments:
+    """A setting is taken back where the best candidate still has the value that the change gave
+    it."""
+    settings, old, new = dict(best), dict(before), dict(after)
     for name in dict.fromkeys([*old, *new]):
         was, became, now = ((name in s, s.get(name)) for s in (old, new, settings))
         if was == became or now != became:
@@ -116,11 +117,11 @@ def _settings_without(winner: Arguments, before: Arguments, after: Arguments) ->
     return tuple(settings.items())
 
 
-def _statements_without(winner: str, before: str, after: str) -> str:
+def _statements_without(best: str, before: str, after: str) -> str:
     """Whole top-level statements are taken back: a function, a class, a constant."""
     old, new, whole = (
         {name: one for one in _tree(source).body for name in _defined(one)}
-        for source in (before, after, winner)
+        for source in (before, after, best)
     )
 
     def text(statements: dict[str, ast.stmt], name: str) -> str:
@@ -177,14 +178,16 @@ def _imports_first(statements: Iterable[ast.stmt]) -> list[ast.stmt]:
     return sorted(statements, key=place)
 
 
-# Fit the winner of a finished search with parts taken back, and say what its gain is due to.
+# Fit the best candidate of a finished search with parts taken back, and say what its gain is due
+# to.
 #
 # It reads training records alone.
 
 
 OnFit = Callable[[Fit, int, int], None]
 
-_WINNER = "the winner"
+# The ledger keeps these names.
+_BEST = "the winner"
 _BASELINE = "the baseline"
 _MODEL = "the winner's model with the baseline's training"
 _TRAINING = "the baseline's model with the winner's training"
@@ -206,31 +209,31 @@ class Variant:
 def ablate(
     directory: Path, on_fit: OnFit, *, seeds: int = 3, isolation: Isolation | None = None
 ) -> tuple[Ablated, bool]:
-    """Cross model and training of winner and baseline, and leave each change of the winner's
-    lineage out; True where the ledger had no such result yet.
+    """Cross model and training of best candidate and baseline, and leave each change of the best
+    candidate's lineage out; True where the ledger had no such result yet.
 
     Each fit is an event of the ledger: one that is there is not repeated, whether the command was
     killed or asks for more seeds now. on_fit: called after each fit with its event, the number of
     fits that are done, and that of all there may be. isolation: level of the candidates; None for
     the strongest of this machine.
 
-    Raises UserError when the search is not finished, its winner is its baseline, or it came without
-    its artifacts.
+    Raises UserError when the search is not finished, its best candidate is its baseline, or it came
+    without its artifacts.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = chain.view
         check_repeatable(directory, view, "an ablation")
-        winner = view.best
-        assert winner is not None
-        if winner.number == 1:
+        best = view.best
+        assert best is not None
+        if best.number == 1:
             raise UserError(
-                f"the winner of run '{view.started.run}' is its baseline: there is no gain to "
-                "attribute"
+                f"the best candidate of run '{view.started.run}' is its baseline: there is no "
+                "gain to attribute"
             )
         problem = load_lock(directory / LOCK)
         evaluator = make_evaluator(problem, view, isolation=isolation)
         store = Store(directory / "artifacts")
-        found = _Ablation(chain, store, evaluator, seeds, on_fit).run(winner)
+        found = _Ablation(chain, store, evaluator, seeds, on_fit).run(best)
         if view.ablated == found:
             return found, False
         chain.append(found)
@@ -247,27 +250,27 @@ class _Ablation:
     seeds: int
     on_fit: OnFit
 
-    def run(self, winner: Experiment) -> Ablated:
+    def run(self, best: Experiment) -> Ablated:
         """Fit all variants and summarise them."""
         view = self.chain.view
         baseline = view.experiment(1)
-        best, first = self._source(winner), self._source(baseline)
-        variants = [Variant(_WINNER, best)]
+        whole, first = self._source(best), self._source(baseline)
+        variants = [Variant(_BEST, whole)]
         # Model and training of the two crossed, or why they cannot be.
         reason = "" if baseline.score is not None else "the baseline has no score"
         if not reason:
             try:
-                sources = first, crossed(best, first), crossed(first, best)
+                sources = first, crossed(whole, first), crossed(first, whole)
                 variants += map(Variant, (_BASELINE, _MODEL, _TRAINING), sources)
             except UserError as error:
                 reason = str(error)
         has_crossing = not reason
-        # The winner without each change of its lineage, or why there is no such variant.
+        # The best candidate without each change of its lineage, or why there is no such variant.
         changes: dict[int, Variant | str] = {}
         for before, after in pairwise(view.lineage):
             number = after.number
             try:
-                source = without_change(best, self._source(before), self._source(after))
+                source = without_change(whole, self._source(before), self._source(after))
             except UserError as error:
                 changes[number] = str(error)
                 continue
@@ -277,7 +280,7 @@ class _Ablation:
         values = self._fit_all(variants)
         crossing: Attribution | None = None
         if has_crossing:
-            names = (_BASELINE, _MODEL, _TRAINING, _WINNER)
+            names = (_BASELINE, _MODEL, _TRAINING, _BEST)
             failed = [name for name in names if not len(values[name])]
             if failed:
                 reason = f"{failed[0]} fails with every seed"
@@ -287,13 +290,11 @@ class _Ablation:
         for number, made in sorted(changes.items()):
             if isinstance(made, str):
                 left_out.append(LeftOut(number, detail=made))
-            elif not len(values[made.name]) or not len(values[_WINNER]):
+            elif not len(values[made.name]) or not len(values[_BEST]):
                 left_out.append(LeftOut(number, detail="it fails with every seed"))
             else:
-                left_out.append(LeftOut(number, gain(values[made.name], values[_WINNER])))
-        return Ablated(
-            winner.number, baseline.number, self.seeds, crossing, reason, tuple(left_out)
-        )
+                left_out.append(LeftOut(number, gain(values[made.name], values[_BEST])))
+        return Ablated(best.number, baseline.number, self.seeds, crossing, reason, tuple(left_out))
 
     def _source(self, experiment: Experiment) -> str:
         return self.store.text(experiment.source)

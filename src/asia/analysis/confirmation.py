@@ -107,10 +107,10 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
     # Over candidates whose fits depend on the seed; 0 where none does.
     random = [judged[n] for n, one in repeated.items() if n in judged and not one.deterministic]
     # The expected error is that of the fit that is handed over, including the effect of its seed.
-    winner = next(c.first for c in tried if c.experiment == view.best.number)
+    best = next(c.first for c in tried if c.experiment == view.best.number)
     blocks = even_blocks([candidate.first.blocks[0].tolist() for candidate in tried])
     seed = derive_seed(view.started.seed, "confirm")
-    expected = expected_error(winner, blocks, EXPECTED_LEVEL, seed)
+    expected = expected_error(best, blocks, EXPECTED_LEVEL, seed)
     # Not known where the search did not compare its fold models on the training records.
     check = None if view.refitted is None else view.refitted.check
     ensemble: Interval | None = None

@@ -645,7 +645,7 @@ class _Parameters:
 def _parameters(
     run: Run, problem: Problem, rest: tuple[Array, Array], beside: Callable[[Array], Array]
 ) -> _Parameters | None:
-    """The parameters of the equations as the winner identified them; None where it names no
+    """The parameters of the equations as the best candidate identified them; None where it names no
     standard errors of them."""
     found, physics = identified(run), problem.physics
     if found is None or physics is None:

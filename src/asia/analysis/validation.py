@@ -220,7 +220,7 @@ class ValidationReport:
 
     run: str
     experiment: int
-    """Its winner, 1-based."""
+    """Its best candidate, 1-based."""
     model: Use
     """Final model that simulated the small steps and the long run."""
     record: str | None

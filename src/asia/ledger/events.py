@@ -78,7 +78,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """The winner without what one experiment of its lineage changed."""
+    """The best candidate without what one experiment of its lineage changed."""
 
     experiment: int
     """The experiment that brought the change."""
@@ -217,7 +217,8 @@ class Confirmed:
     seeds: int
     """Repeats of a candidate whose fits depend on the seed."""
     tried: int
-    """Candidates with a score and a source of their own, which the winner was the best of."""
+    """Candidates with a score and a source of their own, of which the handed-over one was
+    the best."""
     level: float
     """The level at which all differences hold together."""
     candidates: tuple[ConfirmedCandidate, ...]
@@ -226,8 +227,8 @@ class Confirmed:
     noise: float | None
     """Standard deviation of V over seeds, pooled over the candidates; None if not known."""
     expected: ExpectedError | None
-    """The error to expect of the winner's fold models, as the search fitted them, on a new record,
-    in the measure of V; None where it is not known."""
+    """The error to expect of the best candidate's fold models, as the search fitted them, on a new
+    record, in the measure of V; None where it is not known."""
     expected_level: float = 0.9
     ensemble: Interval | None = None
     """The same of the mean of the fold models' simulations; None if not known."""
@@ -283,8 +284,8 @@ class Stack:
 
 @dataclass(frozen=True)
 class Feedback:
-    """Inputs that follow earlier outputs in the training records, and a winner that was fitted as
-    if they did not."""
+    """Inputs that follow earlier outputs in the training records, and a best candidate that was
+    fitted as if they did not."""
 
     inputs: tuple[str, ...]
     pole: float | None
@@ -570,7 +571,7 @@ class Noted:
 
 @dataclass(frozen=True)
 class Refitted:
-    """The winner fitted once more on all training data."""
+    """The best candidate fitted once more on all training data."""
 
     experiment: int
     model: ArtifactName | None
@@ -583,7 +584,7 @@ class Refitted:
     check: RefitCheck | None = None
     """Comparison of the refit with the fold models; None in older ledgers."""
     stack: Stack | None = None
-    """The weighted mean of several experiments; None where it would be the winner alone."""
+    """The weighted mean of several experiments; None where it would be the best candidate alone."""
     use: Use | None = None
     """The model to use; None in older ledgers."""
     reason: str = ""
@@ -684,7 +685,7 @@ class Unsealed:
     """The test outputs, one (lengths[i], ny) array a trajectory."""
     ensemble: TestedModel | Failure
     refit: TestedModel | Failure | None
-    """The winner fitted on all training data."""
+    """The best candidate fitted on all training data."""
     horizon: int | None = None
     """Samples of a window, None for long simulations. A trajectory's windows stand one after the
     other; the last may repeat some samples."""

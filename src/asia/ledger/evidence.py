@@ -360,7 +360,7 @@ def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScor
     )
 
 
-# Identified parameters of the winner with their uncertainty.
+# Identified parameters of the best candidate with their uncertainty.
 
 
 LEAST_SHARE = 0.5
@@ -539,7 +539,7 @@ class IdentifiedModel:
     """Model that a search identified."""
 
     experiment: int
-    """The winner."""
+    """The best candidate."""
     parameters: tuple[IdentifiedParameter, ...]
     correlation: tuple[tuple[float | None, ...], ...]
     equations: tuple[str, ...]
@@ -550,7 +550,7 @@ class IdentifiedModel:
     source: str = FITTED
     """As in `EstimatedModel`."""
     fit: float | None = None
-    """Fit of the winner in percent."""
+    """Fit of the best candidate in percent."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -611,7 +611,8 @@ def get_estimates(store: Store, name: str) -> EstimatedModel:
 
 
 def identified(run: Run) -> IdentifiedModel | None:
-    """The identified parameters of the winner; None if there are none, and in older ledgers."""
+    """The identified parameters of the best candidate; None if there are none, and in older
+    ledgers."""
     refitted = run.view.refitted
     if refitted is None or refitted.estimates is None or not run.store.kept:
         return None

@@ -292,11 +292,13 @@ def _honesty(view: SearchView) -> _Findings:
     if start.residuals == "held_out":
         yield _Finding("The agent saw held-out residuals.")
     if again is not None and (again.value is None or abs(again.value - 1.0) > REPEATED.level):
-        yield _Finding("A second fit of the winner failed or gave another error.")
+        yield _Finding("A second fit of the best candidate failed or gave another error.")
     if errors and consistency(best.score.value, errors) < HONEST.level:
         yield _Finding("The error on held-out data is far below that on training data.")
     if best.result is not None and best.result.deadline:
-        yield _Finding("The winner's fit reached its deadline, so it depends on the machine.")
+        yield _Finding(
+            "The best candidate's fit reached its deadline, so it depends on the machine."
+        )
 
 
 def stress_text(test: StressTest) -> str:

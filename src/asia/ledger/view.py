@@ -228,7 +228,7 @@ class SearchView:
 
     @property
     def lineage(self) -> tuple[Experiment, ...]:
-        """The winner after its ancestors, the oldest first; () without a winner."""
+        """The best candidate after its ancestors, the oldest first; () without a best candidate."""
         found = [] if self.best is None else [self.best]
         while found and (parent := found[-1].proposed.parent) and parent < found[-1].number:
             found.append(self.experiment(parent))
@@ -252,7 +252,7 @@ class SearchView:
 
     @property
     def complete(self) -> bool:
-        """Stopped, with the winner refitted and the guard looked at."""
+        """Stopped, with the best candidate refitted and the guard looked at."""
         refitted = self.refitted is not None or self.best is None
         return self.stopped is not None and refitted and not self.guard_due
 

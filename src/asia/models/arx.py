@@ -138,7 +138,7 @@ def _output_error(
     past = past_length(context)
     outputs: list[Array] = []
     for r in records:
-        start_u = r.measured_u[None, past - context.n_past_u : past]
+        start_u = r.undelayed_u[None, past - context.n_past_u : past]
         start_y = r.y[None, past - context.n_past_y : past]
         simulated = refined(start_u, start_y, r.u[None, past:])[0]
         outputs.append(np.concatenate([r.y[:past], simulated]))

@@ -239,7 +239,7 @@ def build(config: Config, context: Context) -> GreyBox:
             "greybox.Config: input_delay and discover need one sampling time: leave them out with "
             "irregular samples"
         )
-    return GreyBox(replace(structure, measured=_is_measured(structure, context)))
+    return GreyBox(replace(structure, states_measured=_is_measured(structure, context)))
 
 
 def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:

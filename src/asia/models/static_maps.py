@@ -332,7 +332,7 @@ def _fitted(
                 u = scaling.inputs(f(u * scaling.u_std + scaling.u_mean))
             if h is not None:
                 y = scaling.outputs(h(scaling.physical(y)))
-            found.append(replace(r, u=u, y=y, measured_u=u).with_delay(delay))
+            found.append(replace(r, u=u, y=y, undelayed_u=u).with_delay(delay))
         return found
 
     def residuals(theta: Array, at: LinearFit) -> Array:

@@ -141,7 +141,7 @@ def _from_linear_model(
         # of these inputs goes into the constants of f and of the output.
         choice = linear.Config(order=states, integrators=integrators)
         shift = drift_shift(records, states, integrators)
-        moved = [replace(r, u=r.u + shift, measured_u=r.measured_u) for r in records]
+        moved = [replace(r, u=r.u + shift, undelayed_u=r.undelayed_u) for r in records]
         found, _, used = linear.fit_records(moved, context, choice, Refinement())
         encoder, s = encoder_of(used, found, context), found.system
         at_rest = LinearSystem(s.a, s.b, s.c, s.d, s.offset + s.d @ shift)

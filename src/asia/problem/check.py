@@ -631,7 +631,7 @@ def _sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[
     """Sentences on a test that is missing, short, not unseen, or beyond the training inputs."""
     doubts: list[Doubt] = []
     if seal.sha256 is None and not in_workspace:
-        text = "there is no test data: the winner cannot be judged on unseen records"
+        text = "there is no test data: the best candidate cannot be judged on unseen records"
         doubts.append(Doubt(text, 0.3, "one more record, kept as the test"))
     least = 50
     doubts += [

@@ -17,7 +17,7 @@ from asia.problem.metrics import find_metric, metric_label
 
 _USES = {
     "ensemble": "the mean of the models of all folds",
-    "refit": "the winner fitted to all training records",
+    "refit": "the best candidate fitted to all training records",
     "stack": "a weighted mean of several candidates",
 }
 
@@ -39,7 +39,7 @@ def methods_paragraph(directory: Path) -> str:
         f"{_quoted(start.agent)}, seed {start.seed}.",
         *_search(view, metric_of(directory)),
         *_isolation(view),
-        *_winner(view),
+        *_best(view),
         *_sealed_test(view),
         f"The ledger of the search holds {len(run.lines)} events, each with the hash of the one "
         f"before; the problem, as it was, has the SHA-256 {start.lock_digest[:16]}.",
@@ -89,7 +89,7 @@ def _isolation(view: SearchView) -> Iterator[str]:
         yield f"The user gave the agent {len(view.notes)} notes."
 
 
-def _winner(view: SearchView) -> Iterator[str]:
+def _best(view: SearchView) -> Iterator[str]:
     best, named, confirmed = view.best, model_to_use(view), view.confirmed
     if best is None or best.score is None or named is None:
         yield "No candidate has a score."
@@ -152,14 +152,14 @@ _SPECIAL = {
 
 
 def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
-    """LaTeX tables of a run into `directory`: `experiments.tex`, `winner.tex`, and `test.tex` once
-    the test was opened. Returns the paths written. Raises UserError when `run_directory` is not a
-    run."""
+    """LaTeX tables of a run into `directory`: `experiments.tex`, `best.tex`, and
+    `test.tex` once the test was opened. Returns the paths written. Raises UserError when
+    `run_directory` is not a run."""
     run = open_run(run_directory)
     view, found = run.view, identified(run)
     tables = {
         "experiments": _experiments_table(view),
-        "winner": _winner_table(view, metric_of(run_directory)),
+        "best": _best_table(view, metric_of(run_directory)),
     }
     if found is not None and found.parameters:
         tables["parameters"] = _parameters_table(view, found)
@@ -204,8 +204,8 @@ def _experiments_table(view: SearchView) -> str:
     return _table(view, "Every experiment; change to the best before", "rlrrl", head, rows)
 
 
-def _winner_table(view: SearchView, metric: str) -> str:
-    """V of the winner on each fold, with the reference models."""
+def _best_table(view: SearchView, metric: str) -> str:
+    """V of the best candidate on each fold, with the reference models."""
     best = view.best
     scores = [(r.name, r.outcome) for r in view.references if isinstance(r.outcome, Score)]
     if best is not None and best.score is not None:
@@ -217,8 +217,8 @@ def _winner_table(view: SearchView, metric: str) -> str:
         for name, score in scores
     ]
     content = (
-        f"The winner and the reference models, {metric_label(metric)} over the standard deviation "
-        "of the output"
+        f"The best candidate and the reference models, {metric_label(metric)} over the standard "
+        "deviation of the output"
     )
     return _table(view, content, "l" + "r" * (folds + 1), head, rows)
 
@@ -240,7 +240,7 @@ def _parameters_table(view: SearchView, found: IdentifiedModel) -> str:
         ])  # fmt: skip
     head = ["Parameter", "Value", "Unit", "Standard error", "by folds", r"95\,\% interval",
             "decided by", ""]  # fmt: skip
-    content = f"Parameters of the winner, {found.source}"
+    content = f"Parameters of the best candidate, {found.source}"
     content += "" if found.library else ", as the candidate's own code reports them"
     return _table(view, content, "lrlrrrll", head, rows)
 

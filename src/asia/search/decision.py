@@ -31,7 +31,7 @@ from asia.search.pending import retest_fits
 
 _FIRST_SEED = 1_000_000
 """The number of the first seed of retests: those of `asia validate --repeat` count from 1, and
-a seed that chose a winner must not confirm it too."""
+a seed that chose a best candidate must not confirm it too."""
 _WORTH_A_RETEST = 0.5
 """The share of the threshold by which a first fit must be lower: with less, two more fits make a
 new best very unlikely."""

@@ -241,11 +241,12 @@ class _Comparison:
 # it is as it is.
 
 
-# Nested V of a stack, relative to the winner's V: below the first it is named whatever the refit is
-# worth, up to the second where one model of all data is no better than a mean of models.
+# Nested V of a stack, relative to the best candidate's V: below the first it is named whatever the
+# refit is worth, up to the second where one model of all data is no better than a mean of models.
 STACK_GAIN, STACK_WORTH = 0.8, 1.2
 # Error of a refit on the training records, relative to the ensemble's, up to which the other third
-# of the data made it better. The fold models of the winner were chosen by V, the refit was not.
+# of the data made it better. The fold models of the best candidate were chosen by V, the refit was
+# not.
 BETTER = 0.8
 # Disagreement of fold models, relative to the ensemble's error, up to which a mean gains nothing.
 AGREE = 0.2
@@ -256,7 +257,7 @@ class FinalEvidence:
     """Evidence for the choice of the model to use."""
 
     value: float
-    """V of the winner."""
+    """V of the best candidate."""
     check: RefitCheck | None
     """The comparison of the refit with the fold models; None where there is none."""
     detail: str
@@ -265,7 +266,7 @@ class FinalEvidence:
 
     @staticmethod
     def of(best: Experiment, refitted: Refitted) -> FinalEvidence:
-        """Return the evidence from the winner and the end of its search."""
+        """Return the evidence from the best candidate and the end of its search."""
         assert best.score is not None
         return FinalEvidence(
             value=best.score.value,
@@ -287,7 +288,7 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
             "stack",
             f"The V of the stack by nested cross-validation, {error_value(stack.value)}, is "
             "clearly below the "
-            f"winner's, {error_value(value)}.",
+            f"best candidate's, {error_value(value)}.",
         )
     if check is None or evidence.detail:
         why = evidence.detail or "there is no refit"
@@ -324,7 +325,8 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         return ModelToUse(
             "stack",
             f"{why} The V of the stack by nested cross-validation, {error_value(stack.value)}, is "
-            f"near the winner's, {error_value(value)}, and it depends less on one candidate.",
+            f"near the best candidate's, {error_value(value)}, and it depends less on one "
+            "candidate.",
         )
     return ModelToUse("ensemble", why)
 
@@ -402,7 +404,7 @@ def _passes(evaluator: Evaluator, experiment: Experiment, store: Store) -> bool:
     return evaluator.objection(store.text(experiment.source), evaluation) is None
 
 
-def refit_winner(
+def refit_best(
     problem: Problem,
     evaluator: Evaluator,
     view: SearchView,
@@ -416,7 +418,8 @@ def refit_winner(
     assert best.score is not None
     failed: list[str] = []
 
-    # Experiments whose fits ignore a declared loop are no members beside a winner that does not.
+    # Experiments whose fits ignore a declared loop are no members beside a best candidate that
+    # does not.
     sound = _sound_in_loop(problem, view, store)
     biased = {e.number for e in view.finished} - sound if best.number in sound else set[int]()
     biased |= {e.number for e in view.finished if e.unconfirmed}
@@ -517,8 +520,9 @@ def _chosen_controller(refitted: Refitted) -> dict[str, Any]:
 
 
 def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
-    """Feedback on the training records that the winner's fit does not take into account: [loop]
-    does not name it, or the winner uses no method for it; None where none is found."""
+    """Feedback on the training records that the best candidate's fit does not take into account:
+    [loop] does not name it, or the best candidate uses no method for it; None where none is
+    found."""
     if problem.loop is not None:
         if _is_sound_in_loop(problem, source):
             return None

@@ -44,7 +44,7 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
 from asia.search.decision import decide
-from asia.search.final import refit_winner
+from asia.search.final import refit_best
 from asia.search.guard import Gate
 from asia.search.pending import PendingFits, keep_folds, keep_output, keep_source
 from asia.search.rules import stop_reason
@@ -152,7 +152,7 @@ class Loop:
         best = self.view.best
         if self.view.refitted is None and best is not None:
             with self.watch.activity(Activity.REFIT, swallows=True):
-                refitted = refit_winner(
+                refitted = refit_best(
                     self.problem, self.evaluator, self.view, best, self.store, metric, self.gate
                 )
                 assert best.score is not None

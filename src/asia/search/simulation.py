@@ -145,7 +145,7 @@ class BandBasis:
 
 
 def models_behind(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
-    """The fold models behind a final model: of a stack its members', else the winner's."""
+    """The fold models behind a final model: of a stack its members', else the best candidate's."""
     return final_members(view, "stack" if use == "stack" else "ensemble")
 
 
@@ -229,17 +229,17 @@ def simulate(
     bands: float | None = None,
     isolation: Isolation | None = None,
 ) -> Array | BandedSimulation:
-    """Open-loop simulation with the winner of a run.
+    """Open-loop simulation with the best candidate of a run.
 
     past_u (n_past_u, nu), past_y (n_past_y, ny): the samples just before the first simulated one;
     u (H, nu); physical units -> y_hat (H, ny). With [preprocess] all are in the units and at the
     rate of the records: past_u then has n_past_u decimate + the longest delay samples, past_y
-    n_past_y decimate. model: `ensemble`, the mean of the winner's fold
-    models; `refit`, the winner fitted on all training records; `stack`, a weighted mean of several
-    experiments; None for the one that the search names as the model to use. bands: a level such as
-    0.9, to have a `BandedSimulation` with the bands that hold this share of the measured outputs.
-    isolation: level of the sandbox that executes the candidate; None for the strongest of this
-    machine, whatever level the ledger names.
+    n_past_y decimate. model: `ensemble`, the mean of the best candidate's fold
+    models; `refit`, the best candidate fitted on all training records; `stack`, a weighted mean of
+    several experiments; None for the one that the search names as the model to use. bands: a level
+    such as 0.9, to have a `BandedSimulation` with the bands that hold this share of the measured
+    outputs. isolation: level of the sandbox that executes the candidate; None for the strongest of
+    this machine, whatever level the ledger names.
     Raises UserError for a wrong shape or level or when the run has no such model, CandidateError
     when the simulation fails.
     """

@@ -40,7 +40,7 @@ _MOST_SAMPLES = 20_000
 _RECOMBINED, _MOVED, _SCALES = 4, 2, (0.5, 1.5)
 # Noise on the initial outputs, in standard deviations.
 _PERTURBATION = 0.1
-# Other experiments whose models are tried in place of the winner's, and their largest V.
+# Other experiments whose models are tried in place of the best candidate's, and their largest V.
 _OTHERS, _NEAR = 3, 1.5
 # Parts of a record over which a change of speed is measured, so that noise hardly counts.
 _BENDS = 50
@@ -124,7 +124,7 @@ class StressRoom:
         """Simulate a model of the search on the stress cases.
 
         Args:
-            members: of the stack; otherwise the winner alone
+            members: of the stack; otherwise the best candidate alone
         """
         parts = [(best, 1.0)]
         if use == "stack":
@@ -180,8 +180,9 @@ def bounded_model(
     is_sound: Callable[[Experiment], bool],
 ) -> Refitted:
     """Name the first model that stays bounded: the one that the evidence favours, the other models
-    of the winner, and where all of these diverge the ensembles of the next best experiments. If
-    none does, the first that drifts is named, or the first of all. Its test is the last one.
+    of the best candidate, and where all of these diverge the ensembles of the next best
+    experiments. If none does, the first that drifts is named, or the first of all. Its test is the
+    last one.
 
     Args:
         second: the model that the evidence favours where there is no stack

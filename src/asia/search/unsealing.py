@@ -1,4 +1,4 @@
-"""Open the sealed test, once, and say how the search's winner does on it."""
+"""Open the sealed test, once, and say how the search's best candidate does on it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ Answers = tuple[Array, ...]
 
 CONSENT = (
     "the candidates of run '{run}' run at isolation level process, where a candidate can read "
-    "every file that you can, the test data and their key included: the winner may have seen them"
+    "every file that you can, the test data and their key included: the best candidate may have "
+    "seen them"
 )
 
 
@@ -69,7 +70,8 @@ def unseal(
     keys: Path | None = None,
     isolation: Isolation | None = None,
 ) -> UnsealResult:
-    """Score the ensemble of the winner's fold models, its refit and the stack on the sealed test.
+    """Score the ensemble of the best candidate's fold models, its refit and the stack on the
+    sealed test.
 
     A second call returns the first result. A model that fails on the test is recorded as a Failure.
 
@@ -81,7 +83,8 @@ def unseal(
             this machine.
 
     Raises:
-        UserError: the search is not finished, has no winner or no test, a line of the ledger or an
+        UserError: the search is not finished, has no best candidate or no test, a line of the
+        ledger or an
             artifact does not verify, problem or test data are not those of its first line, the key
             is missing, the level is process without consent, or a copy of the run opened the test.
     """

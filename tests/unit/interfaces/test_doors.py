@@ -177,7 +177,7 @@ FIGURES = {
         {
             "show": rf"V = {NUMBER} \(folds",
             "status": rf"(?s:.*)\| best #\d+ {NUMBER}",
-            "page": rf"V, winner {NUMBER}",
+            "page": rf"V, best candidate {NUMBER}",
         },
         {"show": lambda o: o["V"], "status": lambda o: o["best"]["V"]},
     ),

@@ -112,7 +112,7 @@ def test_every_experiment_has_its_hypothesis_and_its_change(make_run: Callable[.
     page = page_of(make_run())
     for number in range(1, len(OUTCOMES) + 1):
         assert f'id="e{number}"' in page
-    # The section of the model repeats that of the winner.
+    # The section of the model repeats that of the best candidate.
     assert page.count('<dt>hypothesis</dt><dd><span class="said">because<') == len(OUTCOMES) + 1
     assert "-60.0 %" in page  # 0.2 against 0.5, the previous best
 
@@ -276,7 +276,7 @@ def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
     with Chain(run.directory / "ledger.jsonl") as chain:
         chain.append(Refitted(4, None, "made up", estimates=name))
     part = page_of(open_run(run.directory))
-    assert "The equations of the winner, with the fitted numbers" in part
+    assert "The equations of the best candidate, with the fitted numbers" in part
     assert "own words" not in part
     assert "<script>alert" not in page
     assert audit(page, run.directory, len(open_run(run.directory).lines)) > 10

@@ -56,7 +56,7 @@ def test_tables_have_every_experiment_and_no_command_of_a_candidate(
     run: Path, tmp_path: Path
 ) -> None:
     paths = {path.name: path.read_text("utf-8") for path in write_tables(run, tmp_path / "tables")}
-    assert set(paths) == {"experiments.tex", "winner.tex", "test.tex"}
+    assert set(paths) == {"experiments.tex", "best.tex", "test.tex"}
     table = paths["experiments.tex"]
     assert r"\input" not in table
     assert r"50 \% more \& \$x\_1\$ \textbackslash{}input\{secret\}" in table
@@ -68,7 +68,9 @@ def test_tables_have_every_experiment_and_no_command_of_a_candidate(
         assert len(columns) == 1
 
 
-def test_parameters_have_a_table_where_the_winner_has_some(run: Path, tmp_path: Path) -> None:
+def test_parameters_have_a_table_where_the_best_candidate_has_some(
+    run: Path, tmp_path: Path
+) -> None:
     rows = (ParameterEstimate("k_1", 0.25, 0.012, 0.2264, 0.2736, "1/s", 0.001, 1.0),)
     found = ParameterEstimates(rows, np.ones((1, 1)), ())
     name = put_estimates(open_run(run).store, found)

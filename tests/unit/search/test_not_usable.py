@@ -110,7 +110,7 @@ def test_the_verdict_names_the_cause(
     assert any(cause in reason for reason in found.reasons), found.reasons
 
 
-def test_a_winner_that_ignores_a_declared_loop_is_doubtful(tmp_path: Path) -> None:
+def test_a_best_candidate_that_ignores_a_declared_loop_is_doubtful(tmp_path: Path) -> None:
     plain = load_problem(write_problem(tmp_path / "case", experiments=1, test=False))
     problem = replace(plain, loop=Loop(reference=(Signal("r"),)))
     found = unheeded_feedback(problem, LINEAR)
@@ -160,7 +160,7 @@ def test_a_short_search_with_a_declared_loop_finds_the_gain(
 
 
 @pytest.mark.slow
-def test_the_verdict_on_a_biased_winner_names_an_experiment_without_bias(
+def test_the_verdict_on_a_biased_best_candidate_names_an_experiment_without_bias(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", LINEAR)

@@ -124,7 +124,7 @@ def test_a_forged_score_is_found(
     assert "event " in done.err
 
 
-def test_a_forged_winner_is_not_unsealed(finished: Path, tmp_path: Path) -> None:
+def test_a_forged_best_candidate_is_not_unsealed(finished: Path, tmp_path: Path) -> None:
     copy = forged(finished, tmp_path / "copy", value)
     with pytest.raises(UserError, match="experiment 2: V is"):
         unseal(copy, process_consent=True)

@@ -172,7 +172,7 @@ def test_a_model_that_does_not_come_back_the_same_is_invalid(problem: Path, tmp_
 
 
 @pytest.mark.slow
-def test_a_winner_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
+def test_a_best_candidate_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
     draw = "import os\n    weights *= 1 - int.from_bytes(os.urandom(4), 'big') / 2**36\n    "
     lucky = arx(2).replace("context.log", draw + "context.log")
     view = go(problem, tmp_path / "runs", Scripted((lucky,)), experiments=2)
@@ -230,7 +230,9 @@ def fit(trajectories, context):
 
 
 @pytest.mark.slow
-def test_a_winner_that_runs_away_on_the_test_is_recorded(problem: Path, tmp_path: Path) -> None:
+def test_a_best_candidate_that_runs_away_on_the_test_is_recorded(
+    problem: Path, tmp_path: Path
+) -> None:
     table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
     table[50, 0] = 10.0
     np.savetxt(problem / "test.csv", table, delimiter=",", header="u,y", comments="")
@@ -327,7 +329,7 @@ def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
     assert unseal(ledger.parent, process_consent=True).record.refit is not None
 
 
-def test_the_winner_simulates(finished_once: Path) -> None:
+def test_the_best_candidate_simulates(finished_once: Path) -> None:
     directory = finished_once / "runs" / "toy-scripted-s0"
     table = np.loadtxt(finished_once / "toy" / "train.csv", delimiter=",", skiprows=1)
     u, y = table[:, :1], table[:, 1:]
@@ -340,7 +342,7 @@ def test_the_winner_simulates(finished_once: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["ensemble", "refit"])
-def test_the_winner_simulates_with_bands(finished_once: Path, model: Use) -> None:
+def test_the_best_candidate_simulates_with_bands(finished_once: Path, model: Use) -> None:
     directory = finished_once / "runs" / "toy-scripted-s0"
     table = np.loadtxt(finished_once / "toy" / "train.csv", delimiter=",", skiprows=1)
     u, y = table[:, :1], table[:, 1:]

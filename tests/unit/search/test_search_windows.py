@@ -66,7 +66,7 @@ fit_seconds = 60
 
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished search whose winner holds the last output."""
+    """A finished search whose best candidate holds the last output."""
     root = tmp_path_factory.mktemp("windows")
     problem = root / "turns"
     problem.mkdir()
@@ -145,7 +145,7 @@ def test_the_command_line_prints_the_table(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_winner_simulates_windows_and_longer(run: Path) -> None:
+def test_the_best_candidate_simulates_windows_and_longer(run: Path) -> None:
     for length in (10, 25):
         y_hat = simulate(run, np.zeros((0, 1)), np.ones((1, 4)), np.zeros((length, 1)))
         assert np.array_equal(y_hat, np.ones((length, 4)))

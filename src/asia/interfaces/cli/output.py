@@ -158,14 +158,15 @@ def guard_words(view: SearchView) -> str:
     look, best = view.looks[-1], view.best
     scores = ", ".join(f"#{s.experiment:02d} {value_words(s.outcome)}" for s in look.scores)
     pick = "none" if look.pick is None else f"#{look.pick:02d}"
-    winner = ""
+    handed = ""
     if best is not None and best.number != look.pick:
-        winner = f", the winner is #{best.number:02d}"
-    return f"{scores}; it picks {pick}{winner} (look {look.look}; {asked})"
+        handed = f", the best candidate is #{best.number:02d}"
+    return f"{scores}; it picks {pick}{handed} (look {look.look}; {asked})"
 
 
 def again_words(view: SearchView) -> str:
-    """Return the difference that a second fit of one fold of the winner showed; "" if none."""
+    """Return the difference that a second fit of one fold of the best candidate showed; "" if
+    none."""
     again = view.refitted.again if view.refitted else None
     if again is None or again.value == 1.0:
         return ""

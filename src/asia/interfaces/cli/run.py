@@ -507,7 +507,7 @@ class TextDisplay:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
 
     def _print_best(self, view: SearchView) -> None:
-        """Print the winner and the evidence for its quality."""
+        """Print the best candidate and the evidence for its quality."""
         best = view.best
         if best is None or best.score is None:
             self._print("best     none: every candidate failed")
@@ -577,7 +577,7 @@ class TextDisplay:
     def _update_footer(self, view: SearchView) -> None:
         doing = "scoring the reference models"
         if view.stopped is not None:
-            doing = "refitting the winner on all training data"
+            doing = "refitting the best candidate on all training data"
         elif view.running:
             doing = " · ".join(running_words(view))
         done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"

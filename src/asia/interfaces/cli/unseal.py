@@ -34,7 +34,7 @@ def unseal(
     keys: Keys = None,
     options: RunOptions,
 ) -> None:
-    """Score the winner on the sealed test. This ends the search and can be done once."""
+    """Score the best candidate on the sealed test. This ends the search and can be done once."""
     from asia.interfaces.workspace.server import end_idle
     from asia.problem.load import load_lock
     from asia.report.published import read_board
@@ -113,7 +113,8 @@ def _is_benchmark(board: Board) -> bool:
 
 
 def _result_object(record: Unsealed, view: SearchView, board: Board) -> dict[str, Any]:
-    """Return the result as JSON, with the settings that must be equal to compare V of winners."""
+    """Return the result as JSON, with the settings that must be equal to compare V of best
+    candidates."""
 
     def scores(model: TestedModel | Failure) -> dict[str, Any]:
         """The value of every metric and details of the first, or the failure."""

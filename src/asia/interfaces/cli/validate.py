@@ -57,15 +57,16 @@ def validate(
         _fits(
             "--repeat",
             help="Fit the best candidates again from other seeds on every fold: which differ "
-            "significantly, and the error to expect of the winner.",
+            "significantly, and the error to expect of the best candidate.",
         ),
     ] = False,
     ablate: Annotated[
         bool,
         _fits(
             "--ablate",
-            help="Fit the winner with parts taken back: its model with the baseline's training, "
-            "its training with the baseline's model, and without each change of its lineage.",
+            help="Fit the best candidate with parts taken back: its model with the baseline's "
+            "training, its training with the baseline's model, and without each change of its "
+            "lineage.",
         ),
     ] = False,
     top: Annotated[
@@ -230,12 +231,12 @@ def confirmation_lines(
 
 
 def verdict(found: Confirmed) -> str:
-    """Return the verdict on the winner in one sentence."""
-    winner = f"#{found.winner:02d}"
+    """Return the verdict on the best candidate in one sentence."""
+    best = f"#{found.winner:02d}"
     if not found.candidates or found.winner in found.failed:
-        return f"{winner} is not confirmed: it failed with every other seed"
+        return f"{best} is not confirmed: it failed with every other seed"
     if all(one.experiment != found.winner for one in found.candidates):
-        return f"{winner} is not confirmed: it was not repeated"
+        return f"{best} is not confirmed: it was not repeated"
     equal = [
         pair.first if pair.second == found.winner else pair.second
         for pair in found.pairs
@@ -243,14 +244,14 @@ def verdict(found: Confirmed) -> str:
     ]
     if not equal and found.candidates[0].experiment == found.winner:
         if len(found.candidates) == 1:
-            return f"{winner} was the only candidate repeated: there is no comparison"
-        return f"{winner} is confirmed: it is better than all other repeated candidates"
+            return f"{best} was the only candidate repeated: there is no comparison"
+        return f"{best} is confirmed: it is better than all other repeated candidates"
     better = [p.first for p in found.pairs if p.second == found.winner and p.apart]
     if better:
         names = " and ".join(f"#{number:02d}" for number in better)
-        return f"{winner} is not confirmed: {names} {'is' if len(better) == 1 else 'are'} better"
+        return f"{best} is not confirmed: {names} {'is' if len(better) == 1 else 'are'} better"
     names = " and ".join(f"#{number:02d}" for number in equal)
-    return f"{winner} and {names} are statistically equal: prefer the simplest of them"
+    return f"{best} and {names} are statistically equal: prefer the simplest of them"
 
 
 def noise_words(found: Confirmed) -> str:
@@ -290,7 +291,7 @@ def _candidate_line(candidate: ConfirmedCandidate, v_name: str) -> str:
     )
 
 
-# The gain of the winner in parts (--ablate).
+# The gain of the best candidate in parts (--ablate).
 
 
 def _ablate(directory: Path, seeds: int, level: Isolation, *, json: bool) -> None:
@@ -327,8 +328,8 @@ def _ablation_lines(found: Ablated, v_name: str) -> Iterator[str]:
         yield f"model and training cannot be crossed: {found.detail}"
     else:
         yield (
-            f"{v_name} of the winner #{found.winner:02d} is lower than that of the baseline by "
-            f"{_interval(crossing.gain)}"
+            f"{v_name} of the best candidate #{found.winner:02d} is lower than that of the "
+            f"baseline by {_interval(crossing.gain)}"
         )
         for name, part in (
             ("its model", crossing.model),

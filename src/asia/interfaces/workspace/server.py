@@ -840,8 +840,8 @@ def _answer_type(op: str) -> TypeAdapter[Any]:
 
 def end_idle(directory: Path, level: Isolation | None, say: Callable[[str], None]) -> None:
     """End the search of a workspace or a server that has nothing to evaluate, so that its test can
-    be opened: its winner is fitted to all training data, and its process ends. Nothing is done to
-    another search, or to one that has nothing to open.
+    be opened: its best candidate is fitted to all training data, and its process ends. Nothing is
+    done to another search, or to one that has nothing to open.
 
     Args:
         level: isolation level that the user names; None for the strongest one
@@ -875,7 +875,7 @@ def end_idle(directory: Path, level: Isolation | None, say: Callable[[str], None
                     f"{request.isolation}, but {wanted} works here: give --isolation "
                     f"{request.isolation} if the run is your own"
                 )
-            say("the search ends after refitting the winner to all training data")
+            say("the search ends after refitting the best candidate to all training data")
             start_search(directory)
         while attended(directory):
             time.sleep(_POLL)
@@ -883,6 +883,6 @@ def end_idle(directory: Path, level: Isolation | None, say: Callable[[str], None
         Steering(directory).take_stop()
     if not open_run(directory).view.complete:
         raise UserError(
-            f"the search of {directory.name} ended before its winner was fitted to all training "
-            f"data: see {log_path(directory)}"
+            f"the search of {directory.name} ended before its best candidate was fitted to all "
+            f"training data: see {log_path(directory)}"
         )

@@ -1,4 +1,4 @@
-"""Statistics of repeated fits: significance of a difference, expected error of a winner."""
+"""Statistics of repeated fits: significance of a difference, expected error of a best candidate."""
 
 import math
 from collections.abc import Sequence
@@ -61,9 +61,9 @@ def is_lower(one: Sequence[float], other: Sequence[float]) -> bool:
 #
 # The held-out samples of each fold are cut into blocks. A candidate is compared with another on
 # the same blocks and from the same seeds, so that common difficulty cancels. The error to expect
-# of a winner is estimated by a bootstrap over the blocks that also chooses the winner anew: it is
-# judged on the blocks that had no part in the choice (Tsamardinos, Greasidou and Borboudakis,
-# Machine Learning 107, 2018, "Bootstrapping the out-of-sample predictions").
+# of a best candidate is estimated by a bootstrap over the blocks that also chooses the best
+# candidate anew: it is judged on the blocks that had no part in the choice (Tsamardinos, Greasidou
+# and Borboudakis, Machine Learning 107, 2018, "Bootstrapping the out-of-sample predictions").
 
 BLOCKS: Final = 8
 _DRAWS = 2000
@@ -110,15 +110,15 @@ class Interval:
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """The error on new records to expect of a winner, in the measure of V."""
+    """The error on new records to expect of a best candidate, in the measure of V."""
 
     value: float
     low: float
     """The lower end of the interval for one new record as long as a fold."""
     high: float
     optimism: float
-    """Optimism: difference between V of a winner and its error on samples that had no part in the
-    choice."""
+    """Optimism: difference between V of a best candidate and its error on samples that had no part
+    in the choice."""
 
 
 def block_values(
@@ -215,28 +215,28 @@ def selection_optimism(tried: Array, seed: int) -> float:
         left_out = counts == 0
         if not left_out.any(axis=1).all():
             continue
-        winner = tried[int(np.argmin((tried * counts).sum(axis=(1, 2))))]
-        error = float(np.mean([w[out].mean() for w, out in zip(winner, left_out, strict=True)]))
+        best = tried[int(np.argmin((tried * counts).sum(axis=(1, 2))))]
+        error = float(np.mean([w[out].mean() for w, out in zip(best, left_out, strict=True)]))
         gaps.append(error - lowest)
     return max(0.0, float(np.mean(gaps))) if gaps else 0.0
 
 
-def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) -> ExpectedError:
-    """The error of the winner on one new record of the same kind, as long as the held-out part of
-    one fold.
+def expected_error(best: RepeatedFits, tried: Array, level: float, seed: int) -> ExpectedError:
+    """The error of the best candidate on one new record of the same kind, as long as the held-out
+    part of one fold.
 
-    The estimate is V of `winner`, the fit that is handed over or the mean of several, and the
-    optimism of `tried`. The interval is of Student's t on the logarithmic scale, with the variance
-    of a new fold's value, that of the mean over the known ones, and that over the seeds. The
-    values of folds vary by their blocks at least, which count as independent, and by more where
+    The estimate is V of `best`, the fit that is handed over or the mean of several, and
+    the optimism of `tried`. The interval is of Student's t on the logarithmic scale, with the
+    variance of a new fold's value, that of the mean over the known ones, and that over the seeds.
+    The values of folds vary by their blocks at least, which count as independent, and by more where
     fold models or records are unlike each other."""
     optimism = selection_optimism(tried, seed)
-    centre = winner.value + optimism
-    parts = winner.blocks.mean(axis=0)
+    centre = best.value + optimism
+    parts = best.blocks.mean(axis=0)
     folds, blocks = parts.shape
     within = float(parts.var(axis=1, ddof=1).mean()) / blocks if blocks > 1 else 0.0
     between = float(parts.mean(axis=1).var(ddof=1)) if folds > 1 else 0.0
-    seeds = 0.0 if winner.spread is None else winner.spread**2
+    seeds = 0.0 if best.spread is None else best.spread**2
     total = max(within, between) * (1.0 + 1.0 / folds) + seeds
     if centre <= 0.0 or total == 0.0:
         return ExpectedError(centre, centre, centre, optimism)
@@ -283,11 +283,11 @@ class Attribution:
     """A gain of V in parts that add up to it, each with a 95 % interval over the seeds."""
 
     gain: Interval
-    """V of the baseline less that of the winner."""
+    """V of the baseline less that of the best candidate."""
     model: Interval
-    """Gain from the winner's model with the baseline's training."""
+    """Gain from the best candidate's model with the baseline's training."""
     training: Interval
-    """Gain from the winner's training with the baseline's model."""
+    """Gain from the best candidate's training with the baseline's model."""
     interaction: Interval
     """Gain from the combination that neither gives alone."""
 
@@ -297,15 +297,15 @@ class Attribution:
 
 
 def attribute(
-    baseline: Array, model_alone: Array, training_alone: Array, winner: Array
+    baseline: Array, model_alone: Array, training_alone: Array, best: Array
 ) -> Attribution:
     """Attribute a gain by the four crossings of two models and two trainings.
 
     Args:
-        baseline, model_alone, training_alone, winner: V over the seeds, (seeds,); a single
+        baseline, model_alone, training_alone, best: V over the seeds, (seeds,); a single
             value where fits do not depend on the seed
     """
-    base, model, training, both = _paired(baseline, model_alone, training_alone, winner)
+    base, model, training, both = _paired(baseline, model_alone, training_alone, best)
     return Attribution(
         _gain_over_seeds(base - both),
         _gain_over_seeds(base - model),

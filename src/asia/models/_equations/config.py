@@ -157,7 +157,7 @@ class GreyBoxStructure:
     sampling_time: float  # Sampling time in s
     n_past_u: int  # Number of inputs in a past window
     n_past_y: int  # Number of outputs in a past window
-    measured: bool = False  # Simulations start at the last measured outputs
+    states_measured: bool = False  # Simulations start at the last measured outputs
     learned: LearnedNumbers = NO_NUMBERS
     """Numbers of the additions that are written into the equations."""
     problem_states: int | None = None
@@ -217,7 +217,7 @@ class GreyBoxStructure:
         """Number of samples before the first simulated one over which the state is fitted: those
         whose inputs are known, and without past inputs, or when it is measured, the newest output.
         """
-        if self.measured:
+        if self.states_measured:
             return 1
         return max(self.n_past_u, min(self.n_past_y, 1))
 

@@ -138,10 +138,10 @@ def case_start(
     window, past_u (B, n_past_u, nu) and past_y (B, n_past_y, ny), has too few inputs.
     """
     xp, n_fit = namespace(past_u, past_y, u), structure.n_fit
-    before = past_u[:, -1:] if structure.measured else past_u
+    before = past_u[:, -1:] if structure.states_measured else past_u
     held_back = xp.repeat(u[:, None], n_fit - before.shape[1], axis=1)
     inputs = xp.concatenate([held_back, before], axis=1).transpose(1, 2, 0)
-    if structure.measured:
+    if structure.states_measured:
         order = np.array([structure.measured_states[i] for i in range(structure.nx)])
         return past_y[:, -1][:, order].T, inputs
     # The most probable state given the outputs from there on, weighted by the model's simulation

@@ -64,7 +64,7 @@ class SimulationError:
     @property
     def theta0(self) -> Array:
         """Starting points of the fits (R, n)."""
-        if self._structure.measured:
+        if self._structure.states_measured:
             return self._starts.z
         return np.concatenate([self._starts.z, self._starts.shift.reshape(len(self), -1)], axis=1)
 
@@ -89,7 +89,7 @@ class SimulationError:
             total = (self._prior(z)[0] ** 2).sum(axis=2)
             if len(self._structure.priors):
                 total += (self._deviations(z) ** 2).sum(axis=0)
-            if not self._structure.measured:
+            if not self._structure.states_measured:
                 total += _INITIAL_RIDGE / shift.shape[2] * (shift**2).sum(axis=(2, 3))
             for part in self._simulate.pieces():
                 e = self._errors(chosen, z, shift, part)
@@ -131,7 +131,7 @@ class SimulationError:
                 shared = slice(len(fitted))
                 gram[:, fitted[:, None], fitted] += own[..., shared, shared].sum(axis=1)
                 gradient[:, fitted] += pull[..., shared].sum(axis=1)
-                if self._structure.measured:
+                if self._structure.states_measured:
                     continue
                 for k, s in enumerate(range(part.start, part.stop)):
                     here = np.arange(size + s * nx, size + (s + 1) * nx)
@@ -189,7 +189,7 @@ class SimulationError:
         """Points theta (R, n), then every unknown moved up, and if central then down: (R, K, n)."""
         size, nx = self._structure.layout.size, self._structure.nx
         moves = np.eye(size + nx)[fitted]
-        if not self._structure.measured:
+        if not self._structure.states_measured:
             moves = np.concatenate([moves, np.eye(nx, size + nx, size)])
         # A change of the initial state applies to every segment.
         every = (theta.shape[1] - size) // nx
@@ -237,7 +237,7 @@ class SimulationError:
     def _parts(self, theta: Array) -> tuple[Array, Array]:
         """Coordinates (R, K, size) and shifts (R, K, S, nx)."""
         size, nx = self._structure.layout.size, self._structure.nx
-        if self._structure.measured:
+        if self._structure.states_measured:
             return theta, np.zeros((*theta.shape[:2], len(self._segments.u), nx))
         return theta[..., :size], theta[..., size:].reshape(*theta.shape[:2], -1, nx)
 

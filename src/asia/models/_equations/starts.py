@@ -71,27 +71,27 @@ def cut_segments(
     """
     cuts: list[Trajectory] = list(trajectories)
     if horizon is not None:
-        length = (1 if structure.measured else structure.n_past) + horizon
+        length = (1 if structure.states_measured else structure.n_past) + horizon
         cuts = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
         cuts = [t for t in cuts if len(t) == length] or list(trajectories)
         most = max(1, _MOST_INITIAL_STATES // structure.nx)
-        if structure.measured:
+        if structure.states_measured:
             each = length * structure.ny * max(structure.layout.size, 1) ** 2
             most = int(np.clip(_MOST_WORK / each, *_MEASURED_WINDOWS))
         cuts = [cuts[i] for i in spread(len(cuts), most)]
     mask = side_by_side([np.ones(len(t)) for t in cuts])
     u = side_by_side([t.u for t in cuts], "edge")
-    if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
+    if structure.states_measured and structure.n_past_u == 0 and u.shape[1] > 1:
         # Hold the first known input, as in simulation, where the last past input is unknown.
         u[:, 0] = u[:, 1]
     counts = side_by_side([measured_weight(t) for t in cuts])
-    noisy = counts * (np.arange(counts.shape[1]) >= structure.measured)[:, None]
+    noisy = counts * (np.arange(counts.shape[1]) >= structure.states_measured)[:, None]
     return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts, noisy)
 
 
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:
     """Initial states (S, nx) at the end of fit `i`."""
-    if structure.measured:
+    if structure.states_measured:
         return starts.x_guess[i]
     shift = found.theta[i, structure.layout.size :].reshape(-1, structure.nx)
     return starts.x_guess[i] + shift * starts.scales.x_scale[:, i]

@@ -136,7 +136,7 @@ def _direct(
     """Fit the predictor of an innovations model; an open order is the one of the least Bayesian
     information criterion."""
     nu, ny = records[0].u.shape[1], records[0].y.shape[1]
-    driven = [replace(r, u=np.hstack([r.u, r.y]), measured_u=r.measured_u) for r in records]
+    driven = [replace(r, u=np.hstack([r.u, r.y]), undelayed_u=r.undelayed_u) for r in records]
     samples = sum(float((r.weight > 0).sum()) for r in records)
     start = _predictor_start(records)
     best, least = None, np.inf
@@ -250,7 +250,7 @@ def _two_stage(
     nu = records[0].u.shape[1]
     r = _standardised(references)
     driven = [
-        replace(one, u=given, y=np.hstack([one.u, one.y]), measured_u=given)
+        replace(one, u=given, y=np.hstack([one.u, one.y]), undelayed_u=given)
         for one, given in zip(records, r, strict=True)
     ]
     shortest = min(len(one) for one in records)
@@ -258,7 +258,7 @@ def _two_stage(
     response = DrivenRecords(driven).summed(found.system, found.x0)
     explained = [one.y - response.misfit(i) for i, one in enumerate(driven)]
     clean = [
-        replace(one, u=e[:, :nu], measured_u=e[:, :nu], y=e[:, nu:])
+        replace(one, u=e[:, :nu], undelayed_u=e[:, :nu], y=e[:, nu:])
         for one, e in zip(records, explained, strict=True)
     ]
     plant = _direct(clean, choices, refinement, context)
@@ -326,7 +326,7 @@ def _through_controller(
     to_error = np.hstack([to_error, mean_error[:, None]])
     to_input = np.hstack([to_input, constant[:, None]])
     driven = [
-        replace(one, u=np.hstack([s, np.ones((len(s), 1))]), measured_u=s)
+        replace(one, u=np.hstack([s, np.ones((len(s), 1))]), undelayed_u=s)
         for one, s in zip(records, signals, strict=True)
     ]
 
@@ -397,7 +397,7 @@ def _filtered(record: ScaledTrajectory, weights: Array) -> ScaledTrajectory:
     weight = record.weight
     u, y = through(record.u), through(record.y)
     return replace(
-        record, u=u, y=y, measured_u=u, weight=weight[lags:], counts=record.counts[lags:]
+        record, u=u, y=y, undelayed_u=u, weight=weight[lags:], counts=record.counts[lags:]
     )
 
 

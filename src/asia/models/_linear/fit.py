@@ -659,7 +659,7 @@ def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
     It is found by a fit with a constant as a further input; of several offsets it is the smallest.
     """
     known = [
-        replace(r, u=np.hstack([r.u, np.ones((len(r), 1))]), measured_u=r.measured_u)
+        replace(r, u=np.hstack([r.u, np.ones((len(r), 1))]), undelayed_u=r.undelayed_u)
         for r in records
     ]
     refinement = Refinement(iterations=20, integrators=integrators)

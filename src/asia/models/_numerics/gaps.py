@@ -25,7 +25,7 @@ def reconstructed(
     past = past_length(context)
     each, errors = list[Array](), list[Array]()
     for r in records:
-        before_u = r.measured_u[None, past - context.n_past_u : past]
+        before_u = r.undelayed_u[None, past - context.n_past_u : past]
         before_y = r.y[None, past - context.n_past_y : past]
         each.append(simulate(before_u, before_y, r.u[None, past:])[0])
         errors.append(np.where(r.counts[past:] > 0, r.y[past:] - each[-1], np.nan))

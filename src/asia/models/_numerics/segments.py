@@ -70,7 +70,7 @@ def segments(
     chosen = spread(len(places), most)
     cuts = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
     return Stretches(
-        np.stack([r.measured_u[k - context.n_past_u : k] for r, k, _ in cuts]),
+        np.stack([r.undelayed_u[k - context.n_past_u : k] for r, k, _ in cuts]),
         np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts]),
         side_by_side([r.u[k:end] for r, k, end in cuts]),
         side_by_side([r.y[k:end] for r, k, end in cuts]),

@@ -61,7 +61,7 @@ class SignalTransformations:
                 r,
                 u=r.u @ turn_u.T,
                 y=r.y @ turn_y.T,
-                measured_u=r.measured_u @ turn_u.T,
+                undelayed_u=r.undelayed_u @ turn_u.T,
                 weight=1.0 - _turned(r.weight == 0, turn_y),
                 counts=1.0 - _turned(r.counts == 0, turn_y),
             )

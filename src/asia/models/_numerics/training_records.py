@@ -66,7 +66,7 @@ class ScaledTrajectory:
     u: Array  # (T, nu), as they act
     y: Array  # (T, ny)
     weight: Array  # (T, ny), 0 where an output does not count
-    measured_u: Array  # (T, nu), the inputs as past windows show them, where u is delayed
+    undelayed_u: Array  # (T, nu), the inputs as past windows show them, where u is delayed
     counts: Array  # (T, ny), 0 where an output was not measured; the `weight` of a whole fit
     filled: bool = False  # Outputs that were not measured are those of a model
 
@@ -76,7 +76,7 @@ class ScaledTrajectory:
     def part(self, first: int, length: int) -> ScaledTrajectory:
         """Cut `length` samples from `first` on."""
         rows = slice(first, first + length)
-        arrays = self.u, self.y, self.weight, self.measured_u, self.counts
+        arrays = self.u, self.y, self.weight, self.undelayed_u, self.counts
         return ScaledTrajectory(*(values[rows] for values in arrays), filled=self.filled)
 
     def with_delay(self, delay: int) -> ScaledTrajectory:
@@ -196,7 +196,7 @@ def past_windows_before(record: ScaledTrajectory, rows: Indices, context: Contex
     """Past windows (N, d) before samples (N,), none before `past_length`."""
     back_u = rows[:, None] + np.arange(-context.n_past_u, 0)
     back_y = rows[:, None] + np.arange(-context.n_past_y, 0)
-    return flat_past(record.measured_u[back_u], record.y[back_y])
+    return flat_past(record.undelayed_u[back_u], record.y[back_y])
 
 
 def holdout_records(count: int, fraction: float) -> list[int]:
@@ -300,14 +300,14 @@ def batch(records: ScaledData, context: Context) -> PaddedBatch:
     first = np.array([skip])
     past_u, past_y = (
         _single([getattr(r, name)[skip - past :] for r in records])
-        for name, past in (("measured_u", context.n_past_u), ("y", context.n_past_y))
+        for name, past in (("undelayed_u", context.n_past_u), ("y", context.n_past_y))
     )
     return PaddedBatch(
         window=np.concatenate(
             [past_windows_before(r, first, context) for r in records], dtype=_SINGLE
         ),
         u=past_u[:, context.n_past_u :]
-        if all(r.u is r.measured_u for r in records)
+        if all(r.u is r.undelayed_u for r in records)
         else _single([r.u[skip:] for r in records]),
         y=past_y[:, context.n_past_y :],
         weight=batch_weight(records, context),

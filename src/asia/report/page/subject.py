@@ -60,13 +60,13 @@ class Subject:
 
     @cached_property
     def lineage(self) -> tuple[int, ...]:
-        """Numbers of the winner and of all that it was made from, the first one first."""
+        """Numbers of the best candidate and of all that it was made from, the first one first."""
         return tuple(e.number for e in self.view.lineage)
 
     @cached_property
     def listed(self) -> tuple[Experiment, ...]:
-        """The experiments on the page: all; in a long search those that were kept, the winner's
-        lineage and the last ones."""
+        """The experiments on the page: all; in a long search those that were kept, the best
+        candidate's lineage and the last ones."""
         return self._chosen(self.detail.rows)
 
     @cached_property

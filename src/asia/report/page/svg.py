@@ -812,7 +812,7 @@ _MOST_LANES = 9
 
 @dataclass(frozen=True)
 class LineageRow:
-    """One experiment of the list; winning: the winner or one of its ancestors."""
+    """One experiment of the list; winning: the best candidate or one of its ancestors."""
 
     number: int
     parent: int | None
@@ -821,8 +821,8 @@ class LineageRow:
 
 
 def lanes(rows: Sequence[LineageRow]) -> dict[int, int]:
-    """Return the lane of each experiment, 0 for the winner's line. A child takes the lane of its
-    parent if no other experiment uses it from the parent on, else the next free one.
+    """Return the lane of each experiment, 0 for the best candidate's line. A child takes the lane
+    of its parent if no other experiment uses it from the parent on, else the next free one.
     """
     last = {row.parent: i for i, row in enumerate(rows) if row.parent is not None}
     found: dict[int, int] = {}

@@ -244,8 +244,8 @@ def test_a_prior_of_something_else_than_parameters_is_refused() -> None:
 def test_a_bent_sensor_does_not_show_the_state() -> None:
     physics = replace(DECAY, observation={"y": "x"})
     context = replace(context_for(physics, "u", "y", 1.0), horizon=10)
-    assert greybox.build(greybox.Config(), context).structure.measured
-    assert not greybox.build(greybox.Config(sensor="power"), context).structure.measured
+    assert greybox.build(greybox.Config(), context).structure.states_measured
+    assert not greybox.build(greybox.Config(sensor="power"), context).structure.states_measured
     with pytest.raises(UserError, match="does not show every state"):
         greybox.build(greybox.Config(sensor="power", initial="measured"), context)
 

@@ -423,7 +423,7 @@ def test_measured_states_start_the_windows_of_an_unstable_system() -> None:
     )
     context = context_for(physics, "torque", "angle rate", 0.05, n_past_u=1, n_past_y=1, horizon=10)
     model = greybox.build(greybox.Config(substeps=1), context)
-    assert model.structure.measured
+    assert model.structure.states_measured
     run = inverted(120, 0)
     model = greybox.train(model, [run], context, LevenbergMarquardt(iterations=15))
     assert model.parameters() == pytest.approx({"k": 2.0, "b": 3.0}, rel=1e-2)

@@ -140,7 +140,7 @@ def test_one_that_cannot_be_split_is_said_to(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_winner_that_is_the_baseline_has_no_gain(tmp_path: Path) -> None:
+def test_a_best_candidate_that_is_the_baseline_has_no_gain(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no gain to attribute"):
         ablate(searched(tmp_path, candidate(2)), quietly)
 
@@ -163,16 +163,16 @@ def test_a_crossing_takes_what_each_side_needs() -> None:
 
 
 @pytest.mark.usefixtures("real_linear_reference")
-def test_a_setting_is_taken_back_where_the_winner_still_has_it() -> None:
+def test_a_setting_is_taken_back_where_the_best_candidate_still_has_it() -> None:
     from asia.judge.evaluation.references import LINEAR
 
     after = LINEAR.replace("order=None", "order=3")
-    winner = after.replace("iterations=30", "iterations=60")
-    found = without_change(winner, LINEAR, after)
+    best = after.replace("iterations=30", "iterations=60")
+    found = without_change(best, LINEAR, after)
     assert found is not None
     assert "order=None" in found
     assert "iterations=60" in found
-    later = winner.replace("order=3", "order=4")
+    later = best.replace("order=3", "order=4")
     assert without_change(later, LINEAR, after) is None
 
 

@@ -109,7 +109,7 @@ def test_cases_stay_inside_the_training_ranges(seed: int, inputs: int, horizon: 
 
 
 @pytest.mark.long
-def test_a_bounded_candidate_is_named_where_the_winner_diverges(tmp_path: Path) -> None:
+def test_a_bounded_candidate_is_named_where_the_best_candidate_diverges(tmp_path: Path) -> None:
     _, view = ended(write_twins(tmp_path / "twins"), arx(2) + HIDDEN, arx(2) + WORSE)
     refitted = view.refitted
     assert view.best is not None
@@ -136,7 +136,7 @@ class StackDrifts:
 
 
 @pytest.mark.long
-def test_where_the_stack_drifts_the_evidence_chooses_between_the_models_of_the_winner(
+def test_where_the_stack_drifts_the_evidence_chooses_between_the_models_of_the_best_candidate(
     tmp_path: Path,
 ) -> None:
     _, view = ended(write_twins(tmp_path / "twins"), arx(2), arx(2) + WORSE)

@@ -1,4 +1,5 @@
-"""Closed loop of the winner of a control problem: costs, and responses in held-out scenarios."""
+"""Closed loop of the best candidate of a control problem: costs, and responses in held-out
+scenarios."""
 
 from __future__ import annotations
 
@@ -26,7 +27,9 @@ def _write(subject: Subject) -> Html | None:
             pair = (found[0], "outcome.value"), (result, "outcome.value")
             ratio = subject.made("ratio", "times", *pair)
             rows.append([said(name), subject.number(found[0], "outcome.value", "error"), ratio])
-    costs = table(["controller", "V", "in V of the winner"], rows, "Costs in held-out scenarios")
+    costs = table(
+        ["controller", "V", "in V of the best candidate"], rows, "Costs in held-out scenarios"
+    )
     metric = find_metric(problem.protocol.metric)
     field = metric.name if metric.name in ("rmse", "mae") else "other"
     head = ["fold", "V", *(said(f"{metric.label} {s.label}") for s in problem.outputs)]
@@ -52,7 +55,7 @@ def _write(subject: Subject) -> Html | None:
         (
             tag("p", text),
             costs,
-            table(head, each, "The winner on each fold"),
+            table(head, each, "The best candidate on each fold"),
             legend(entries),
             tag("div", *shown, class_="grid"),
         )

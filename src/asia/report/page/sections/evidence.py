@@ -39,7 +39,7 @@ from asia.report.page.html import (
 from asia.report.page.subject import Section, Subject, used_no_test
 from asia.report.page.svg import draw_check, draw_poles
 
-# The ablation: contributions of the changes to the gain of the winner.
+# The ablation: contributions of the changes to the gain of the best candidate.
 
 
 _PARTS = (
@@ -56,14 +56,15 @@ def _write(subject: Subject) -> Html | None:
         return None
     text = tag(
         "p",
-        "The winner was refitted with parts of its changes reverted, each variant with up to ",
+        "The best candidate was refitted with parts of its changes reverted, each variant with "
+        "up to ",
         subject.number(found, "seeds", "count"),
         " seeds chosen by the evaluator.",
     )
     crossing = tag("p", "Model and training cannot be crossed: ", said(found.detail), ".")
     if found.crossing is not None:
         rows = [[part, subject.interval(found, at, "signed_error")] for part, at in _PARTS]
-        head = ["part of the winner", f"{name} is lower by"]
+        head = ["part of the best candidate", f"{name} is lower by"]
         crossing = table(head, rows, "Contributions to the gain over the baseline")
     changes = None
     if found.left_out:
@@ -104,7 +105,7 @@ def _write_bands(subject: Subject) -> Html | None:
 BANDS = Section("bands", "Output bands", _write_bands)
 
 
-# The confirmation: significance of the winner over repeated fits.
+# The confirmation: significance of the best candidate over repeated fits.
 
 
 def _write_confirmation(subject: Subject) -> Html | None:
@@ -174,7 +175,9 @@ def _expected(subject: Subject, found: Confirmed) -> Html:
         text = "The standard deviation of V over seeds is "
         noise = (text, subject.number(found, "noise", "sig2"), ". ")
     if found.expected is None:
-        return tag("p", *noise, "The expected error of the winner is unknown: its repeats failed.")
+        return tag(
+            "p", *noise, "The expected error of the best candidate is unknown: its repeats failed."
+        )
     ensemble: tuple[str, ...] = ()
     if found.ensemble is not None:
         ensemble = ("; their ensemble one of ", subject.interval(found, "ensemble", "error"))
@@ -196,7 +199,7 @@ def _expected(subject: Subject, found: Confirmed) -> Html:
 CONFIRMATION = Section("confirmation", "Significance", _write_confirmation)
 
 
-# The equations and parameters of the winner, fitted to all training records.
+# The equations and parameters of the best candidate, fitted to all training records.
 
 
 def _write_identified(subject: Subject) -> Html | None:
@@ -207,7 +210,7 @@ def _write_identified(subject: Subject) -> Html | None:
     if found.equations:
         lines = "\n".join(one_line(line, 600) for line in found.equations)
         title = (
-            "The equations of the winner, with the fitted numbers:"
+            "The equations of the best candidate, with the fitted numbers:"
             if found.library
             else "Equations in the candidate's own words, not checked by ASIA:"
         )

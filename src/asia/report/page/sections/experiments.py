@@ -57,7 +57,8 @@ def _write(subject: Subject) -> Html | None:
     note = None
     if len(subject.listed) < len(subject.view.experiments):
         text = (
-            "The list has the kept experiments, the lineage of the winner and the last experiments."
+            "The list has the kept experiments, the lineage of the best candidate and the last "
+            "experiments."
         )
         note = tag("p", text)
     return join((note, tag("div", *(_experiment(subject, e) for e in subject.listed),
@@ -199,7 +200,7 @@ def _write_lineage(subject: Subject) -> Html | None:
         value = tag("span", subject.v(e) if e.score else status_of(subject, e), class_="value")
         items.append(tag("li", title, made_from, value, class_="won" if won else None))
     drawing, width = draw_lanes(rows)
-    text = "The thick line leads to the winner. A filled circle is a kept candidate."
+    text = "The thick line leads to the best candidate. A filled circle is a kept candidate."
     listed = tag("ol", *items, style=f"padding-left:{width}px")
     return join((tag("p", text), tag("div", drawing, listed, class_="lineage")))
 
@@ -230,7 +231,7 @@ def _write_problem(subject: Subject) -> Html | None:
 PROBLEM = Section("problem", "The problem", _write_problem)
 
 
-# The winner: equations or structure, and its code.
+# The best candidate: equations or structure, and its code.
 
 
 def _write_model(subject: Subject) -> Html | None:
@@ -249,13 +250,15 @@ def _write_model(subject: Subject) -> Html | None:
             tag("div", tag("span", kind, class_="kind"), formula, class_="equation")
             for kind, formula in equations(subject.problem.physics)
         ]
-        text = "The equations of the problem file. The code of the winner shows its additions."
+        text = (
+            "The equations of the problem file. The code of the best candidate shows its additions."
+        )
         parts += [tag("h3", "Equations"), tag("p", text)]
         parts.append(region("div", *rows, class_="equations", label="equations"))
     if not store.kept:
         return join((*parts, tag("p", "The code is missing, because the run has no artifacts.")))
     source = store.text(best.source)
-    block = python(source, "candidate.py of the winner")
+    block = python(source, "candidate.py of the best candidate")
     summary = tag("summary", "candidate.py")
     short = source.count("\n") <= 40
     return join((*parts, tag("h3", "Code"), tag("details", summary, block, open=short)))

@@ -71,7 +71,7 @@ def stamp(subject: Subject) -> tuple[str, str]:
 
 _USES = {
     "ensemble": "the ensemble, the mean of the fold models",
-    "refit": "the refit, the winner fitted to all training records",
+    "refit": "the refit, the best candidate fitted to all training records",
     "stack": "the stack, a weighted mean of several candidates",
 }
 
@@ -106,10 +106,10 @@ def _write(subject: Subject) -> Html | None:
 
 def _found(subject: Subject, best: Experiment) -> Html:
     view, held = subject.view, subject.view.incumbent
-    rank = [") is the winner, the only candidate for "]
+    rank = [") is the only candidate for "]
     if len(view.finished) > 1:
         count = subject.over("evaluated", "experiment", "count", "count")
-        rank = [") is the winner, the best of ", count, " candidates for "]
+        rank = [") is the best of ", count, " candidates for "]
     method: list[str] = []
     if held is not None and held.number != best.number:
         link = tag("a", subject.name(held), href=f"#e{held.number}")
@@ -185,7 +185,7 @@ def _trust(subject: Subject, kind: str) -> Html:
         return join((f"{start}. ", said(" ".join(judged.reasons), 2000), parameters))
     text = f"No candidate saw its validation data.{parameters}"
     if view.refitted and view.refitted.again:
-        text += " Refitting the winner gave the same result."
+        text += " Refitting the best candidate gave the same result."
     if subject.problem is not None and subject.problem.control is not None:
         return join((text.replace("validation data", "held-out scenarios"),))
     if kind == "good":
@@ -197,7 +197,7 @@ def _trust(subject: Subject, kind: str) -> Html:
 def _tiles(subject: Subject, best: Experiment) -> Html:
     result, score = result_of(best), best.score
     assert score is not None
-    tiles: list[tuple[str, Html]] = [("V, winner", subject.v(best))]
+    tiles: list[tuple[str, Html]] = [("V, best candidate", subject.v(best))]
     for label, name in (
         ("V, linear model", "linear model"),
         ("V, noise floor", "simulated truth"),
@@ -439,7 +439,7 @@ def _test_overlays(
 TESTED = Section("test", "The sealed test", _write_tested)
 
 
-# The winner on the data that it was not fitted to.
+# The best candidate on the data that it was not fitted to.
 
 
 def _write_accuracy(subject: Subject) -> Html | None:
@@ -477,7 +477,7 @@ def _accuracy_table(subject: Subject, best: Experiment) -> Html:
             subject.number(result, f"folds.{k}.diagnostics.train_error", "error"),
             subject.number(result, f"folds.{k}.fit_seconds", "sig3"),
         ])  # fmt: skip
-    return table(head, rows, "The winner on each fold")
+    return table(head, rows, "The best candidate on each fold")
 
 
 def _fold_name(subject: Subject, fold: int) -> Html:

@@ -34,7 +34,7 @@ def test_unsealing_ends_a_search_that_waits(idle: Place, asia: Asia, there: bool
     try:
         done = asia("unseal", idle.directory.name, "--yes", "--yes-process")
         assert done.code == 0, done.err
-        assert "the search ends after refitting the winner" in done.err
+        assert "the search ends after refitting the best candidate" in done.err
         view = open_run(idle.directory).view
         assert view.unsealed is not None
         assert view.stopped is not None
