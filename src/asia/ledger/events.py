@@ -54,7 +54,7 @@ class Fit:
     experiment: Annotated[int, _omitted(0)] = 0
     """The candidate, of a confirmation."""
     variant: Annotated[str, _omitted("")] = ""
-    """Name of the variant of the winner, of an ablation."""
+    """Name of the variant of the best candidate, of an ablation."""
     source: Annotated[ArtifactName, _omitted("")] = ""
     """Source of that variant."""
     digest: Annotated[str, _omitted("")] = ""
@@ -73,7 +73,7 @@ class Fit:
     event: Literal["fit"] = "fit"
 
 
-# What the gain of the winner is due to.
+# What the gain of the best candidate is due to.
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ class SearchView:
     unsealing: Unsealing | None = None
     unsealed: Unsealed | None = None
     fits: tuple[Fit, ...] = ()
-    """Fits after the search: of its candidates, and of the winner with parts taken back."""
+    """Fits after the search: of its candidates, and of the best one with parts taken back."""
     confirmed: Confirmed | None = None
     """Last confirmation; None if the search continued since."""
     ablated: Ablated | None = None
