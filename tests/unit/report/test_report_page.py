@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import re
@@ -200,6 +201,17 @@ def test_the_numbers_of_a_whole_page_are_checked(make_run: Callable[..., Run]) -
     run = make_run(unsealed=1)
     page = page_of(run)
     assert audit(page, run.directory, len(run.lines)) == page.count("<data ") > 50
+
+
+def test_an_event_on_several_lines_of_the_ledger_has_a_page(make_run: Callable[..., Run]) -> None:
+    run = make_run()
+    with Chain(run.directory / "ledger.jsonl") as chain:
+        chain.append(Refitted(4, None, "made up " * 20_000))
+    raw = (run.directory / "ledger.jsonl").read_bytes()
+    run = open_run(run.directory)
+    assert raw.count(b"\n") > len(run.lines)
+    digest = hashlib.sha256(raw.splitlines()[-1]).hexdigest()
+    assert f"<code>{digest}</code>" in page_of(run)
 
 
 @pytest.mark.long

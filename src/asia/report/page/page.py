@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html.parser import HTMLParser
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -16,7 +16,8 @@ from asia._diagnostic import diagnostic
 from asia._files import PACKAGE
 from asia.errors import InternalError, UserError
 from asia.ledger.artifacts import Store
-from asia.ledger.chain import write_whole
+from asia.ledger.chain import read_lines, write_whole
+from asia.ledger.events import Event
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_lock
 from asia.report.page.html import FORMS, ONE, RULES, Html, follow, join, said, section, table, tag
@@ -24,8 +25,7 @@ from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.verdict import stamp
 from asia.report.page.subject import Detail, Section, Subject
 
-# The audit shares nothing with the sections: it reads the finished page and the bytes of the
-# ledger.
+# The audit shares nothing with the sections: it reads the finished page and the ledger.
 
 
 _FREE = frozenset({"code", "pre", "svg", "math", "style", "title", "kbd"})
@@ -48,8 +48,8 @@ def audit(page: str, directory: Path, events: int) -> int:
         InternalError: a number differs from the ledger or names no source; the message names the
             first one.
     """
-    lines = (directory / "ledger.jsonl").read_bytes().split(b"\n")
-    reader = _Reader([json.loads(line) for line in lines[:events]], directory / "artifacts")
+    lines = islice(read_lines(directory / "ledger.jsonl"), events)
+    reader = _Reader([line.event for line in lines], directory / "artifacts")
     reader.feed(page)
     reader.close()
     return reader.checked
@@ -60,7 +60,7 @@ class _Reader(HTMLParser):
     quoted, code, or drawn.
     """
 
-    def __init__(self, events: list[dict[str, Any]], artifacts: Path) -> None:
+    def __init__(self, events: list[Event], artifacts: Path) -> None:
         super().__init__(convert_charrefs=True)
         self.checked = 0
         self._events = events
@@ -108,7 +108,14 @@ class _Reader(HTMLParser):
         try:
             result = RULES[rule](self._values(sources))
             expected = FORMS[number["data-as"]](result)
-        except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, UserError) as error:
+        except (
+            LookupError,
+            AttributeError,
+            TypeError,
+            ValueError,
+            ArithmeticError,
+            UserError,
+        ) as error:
             raise InternalError(
                 f"report: the number {shown} names {sources}, where none is: {error!r}"
             ) from error
@@ -131,7 +138,7 @@ class _Reader(HTMLParser):
                     raise KeyError(f"no event names the artifact {name}")
                 documents = [json.loads(Store(self._artifacts).get(name))]
             else:
-                documents = [event for event in self._events if event["event"] == name]
+                documents = [event for event in self._events if event.event == name]
             for document in documents:
                 found += follow(document, path)
         return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from shlex import quote
 
@@ -119,9 +118,6 @@ def _write_reproduce(subject: Subject) -> Html:
         f"--experiments {subject.view.budget} --seed {start.seed}\n"
     )
     block = region("pre", tag("code", commands), label="commands")
-    # As the next line would name it.
-    written = (subject.run.directory / "ledger.jsonl").read_bytes().split(b"\n")
-    head = hashlib.sha256(written[len(lines) - 1]).hexdigest()
     settings = ", ".join(f"{key} {value}" for key, value in sorted(start.agent_settings.items()))
     versions = ", ".join(f"{key} {value}" for key, value in sorted(start.environment.items()))
     pairs = (
@@ -131,7 +127,7 @@ def _write_reproduce(subject: Subject) -> Html:
             "digest of the sealed test",
             tag("code", start.test_digest) if start.test_digest else None,
         ),
-        ("digest of the ledger", tag("code", head)),
+        ("digest of the ledger", tag("code", lines[-1].digest)),
         ("start", said(lines[0].time)),
         ("last event", join((said(lines[-1].event.event), ", ", said(lines[-1].time)))),
         ("environment", said(versions, 1000)),
