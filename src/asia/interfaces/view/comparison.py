@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from urllib.parse import urlencode
 
@@ -15,19 +15,13 @@ from asia.ledger.events import TestedModel
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.view import Experiment
 from asia.problem.problem import Problem
-from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
+from asia.report.comparison import ArmCurves, ArmsPicture, Curve
+from asia.report.page.html import Html, fixed, join, picture, region, said, section, table, tag
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of, tag_labels
-from asia.report.page.sections.verdict import held_out_overlays, stamp
+from asia.report.page.sections.verdict import draw_panel, stamp
 from asia.report.page.subject import Subject, result_of, v_form
-from asia.report.page.svg import (
-    BestSoFar,
-    Overlay,
-    both_sizes,
-    draw_best,
-    draw_overlay,
-    legend,
-    series,
-)
+from asia.report.pictures.progress import draw_arms
+from asia.report.pictures.simulation import Panel, simulation_panels
 
 _MOST_CHOICES = 40
 
@@ -97,16 +91,13 @@ def comparison_part(compared: Sequence[Compared]) -> Html:
         warning = tag("p", warning, class_="trouble")
     curves = None
     if len(subjects) > 1:
-        searches = [
-            BestSoFar(
-                one.run.name,
-                tuple((e.number, e.score.value) for e in one.view.bests if e.score is not None),
-                max((e.number for e in one.view.finished), default=0),
-            )
+        sides = tuple(
+            ArmCurves(one.run.name, (Curve(tuple(e.value for e in one.view.finished)),))
             for one in subjects
-        ]
-        axis, alt = axes.pop() if len(axes) == 1 else "V", "Best V so far over the experiments."
-        curves = tag("figure", both_sizes(partial(draw_best, searches, axis, alt)))
+        )
+        title = "Best V so far over the experiments"
+        arms = ArmsPicture("best", title, sides, (), subjects[0].run.metric)
+        curves = picture(partial(draw_arms, arms), title)
     parts = (
         section("figures", "Runs", warning, _runs_table(subjects)),
         section("curves", "Best so far", curves),
@@ -130,40 +121,33 @@ def _together(compared: Sequence[Compared]) -> list[list[tuple[int, Subject, Exp
     return list(groups.values())
 
 
-def _drawn(compared: Sequence[Compared]) -> list[tuple[Problem, Overlay, tuple[int, ...]]]:
-    """Every overlay, with the numbers of its experiments in the comparison."""
-    found: list[tuple[Problem, Overlay, tuple[int, ...]]] = []
+def _drawn(compared: Sequence[Compared]) -> list[tuple[Problem, Panel, tuple[str, ...]]]:
+    """Every overlay, with the names of its experiments."""
+    found: list[tuple[Problem, Panel, tuple[str, ...]]] = []
+    labels = [f"{one.name} #{e.number:02d}" for one in compared for e in one.experiments]
     for group in _together(compared):
         (_, subject, first), *others = group
         assert subject.problem is not None
-        numbers = tuple(number for number, _, _ in group)
-        overlays = held_out_overlays(subject, first, [one[1:] for one in others])
-        found += [(subject.problem, one, numbers) for one in overlays]
+        names = tuple(labels[number] for number, _, _ in group)
+        over = [(other.run, e) for _, other, e in others]
+        panels, _ = simulation_panels(subject.run, subject.problem, first, subject.folds, over)
+        found += [(subject.problem, one, names) for one in panels]
     return found
+
+
+def _draw(problem: Problem, panel: Panel, names: Sequence[str]) -> Html:
+    # The error in the title is that of the first one.
+    panel = panel if len(names) == 1 else replace(panel, error="")
+    return draw_panel(problem, panel, simulated=names[0], others=names[1:])
 
 
 def _overlays(compared: Sequence[Compared]) -> Html:
     """The simulations of the chosen experiments over the measured outputs, group by group."""
-    labels = [f"{one.name} #{e.number:02d}" for one in compared for e in one.experiments]
-    parts: list[Html] = []
-    boxes: list[Html] = []
-    drawn = _drawn(compared)
-    for index, (problem, overlay, numbers) in enumerate(drawn):
-        boxes.append(
-            zoomable(
-                f"/compare/overlays/{index}?{_query(compared)}",
-                draw_overlay(problem, overlay),
-                len(overlay.measured),
-            )
-        )
-        if index + 1 == len(drawn) or drawn[index + 1][2] != numbers:
-            keys = [("measured", "measured")]
-            # A single simulation and its error have colours of their own.
-            names = [series(k) for k in range(len(numbers))] if len(numbers) > 1 else ["model"]
-            keys += [(name, said(labels[n])) for name, n in zip(names, numbers, strict=True)]
-            keys += [("error", "error")] if len(numbers) == 1 else []
-            parts += [legend(keys), tag("div", *boxes, class_="grid")]
-            boxes = []
+    boxes = [
+        zoomable(f"/compare/overlays/{index}?{_query(compared)}", _draw(*one), len(one[1]))
+        for index, one in enumerate(_drawn(compared))
+    ]
+    parts = [tag("div", *boxes, class_="grid")] if boxes else []
     missing = [one for one in compared if one.snapshot.trouble]
     parts += [
         tag("p", said(f"{one.name}: no simulations, {one.snapshot.trouble}", 600), class_="trouble")
@@ -179,8 +163,8 @@ def compared_overlay(
     drawn = _drawn(compared)
     if not 0 <= index < len(drawn):
         raise UserError(f"the comparison has no picture {index}")
-    problem, one, _ = drawn[index]
-    return draw_overlay(problem, one.cut(first, last))
+    problem, panel, names = drawn[index]
+    return _draw(problem, panel.cut(first, last), names)
 
 
 def _experiments_table(compared: Sequence[Compared]) -> Html | None:

@@ -16,8 +16,8 @@ from asia.interfaces.view.pages import (
     whole_page,
 )
 from asia.report.page.html import Html, fixed, join, said, section, tag
-from asia.report.page.sections.verdict import held_out_overlays
-from asia.report.page.svg import draw_overlay, error_limit, overlay_legend
+from asia.report.page.sections.verdict import draw_panel
+from asia.report.pictures.simulation import simulation_panels
 
 PICTURES: Final = 24
 """Simulations on one page."""
@@ -46,21 +46,27 @@ def _pictures(snapshot: Snapshot, chosen: Chosen, after: int | None) -> Html:
     place = next((k for k, e in enumerate(every, 1) if e.number == after), 0)
     shown = every[place : place + PICTURES]
     # The channel and the part of the record in which the best experiment has its lowest fit.
-    one = held_out_overlays(subject, best, [(subject, e) for e in shown])[0]
-    # All errors on one scale.
-    limit = error_limit(replace(one, simulated=one.others[0], others=one.others[1:]))
+    each = [(subject.run, e) for e in shown]
+    (one, *_), _ = simulation_panels(subject.run, subject.problem, best, subject.folds, each)
+    alone = [
+        replace(one, title="", error="", segments=tuple(
+            replace(part, simulated=part.others[k], others=()) for part in one.segments
+        ))
+        for k in range(len(shown))
+    ]  # fmt: skip
+    # All errors on one scale, on which one that is far off does not hide the others.
+    sizes = sorted(panel.error_limit() for panel in alone)
+    limit = min(sizes[-1], 5 * sizes[0]) or sizes[-1]
     address = run_address(snapshot.run.name)
     figures: list[Html] = []
-    for e, simulated in zip(shown, one.others, strict=True):
+    for e, panel in zip(shown, alone, strict=True):
         title = tag(
             "a", subject.name(e), " ", said(e.proposed.title, 60),
             href=f"{address}/experiments/{e.number}",
         )  # fmt: skip
         text = join((title, " ", tag("span", "V ", subject.v(e), class_="value")))
-        alone = replace(
-            one, title=text, alt=f"experiment {e.number}, {one.alt}", simulated=simulated, others=()
-        )
-        figures.append(draw_overlay(subject.problem, alone, limit))
+        drawn = draw_panel(subject.problem, panel, limit=limit, alt=f"experiment {e.number}")
+        figures.append(tag("div", tag("p", text), drawn))
     links: list[Html] = []
     for text, start in (("‹ previous", place - PICTURES), ("next ›", place + PICTURES)):
         if 0 <= start < len(every) or (start < 0 < place):
@@ -69,7 +75,8 @@ def _pictures(snapshot: Snapshot, chosen: Chosen, after: int | None) -> Html:
                 query["after"] = str(every[start - 1].number)
             links.append(tag("a", text, href=f"{address}/{GALLERY}?{urlencode(query)}"))
     count = fixed(f"{place + 1} to {place + len(shown)} of {len(every)}")
-    where = tag("p", "Simulations ", count, ", all over ", one.title, ", the least accurate output")
+    where = tag("p", "Simulations ", count, ", all over ", said(one.title.lower()),
+                ", the least accurate output")  # fmt: skip
     around = tag("nav", *links, class_="neighbours", aria_label="Other simulations")
     grid = tag("div", *figures, class_="grid gallery")
-    return join((where, overlay_legend(), grid, around if links else None))
+    return join((where, grid, around if links else None))

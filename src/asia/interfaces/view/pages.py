@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import hashlib
+import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,7 @@ from asia.ledger.text import decision_text, describe_result, error_value, eviden
 from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
+from asia.report.page.html import Html, fixed, join, picture, region, said, section, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import (
     experiment_story,
@@ -36,17 +37,10 @@ from asia.report.page.sections.experiments import (
     status_of,
     tag_labels,
 )
-from asia.report.page.sections.verdict import held_out_overlays
+from asia.report.page.sections.verdict import draw_panel
 from asia.report.page.subject import Detail, Subject
-from asia.report.page.svg import (
-    Span,
-    both_sizes,
-    draw_loss,
-    draw_overlay,
-    draw_timeline,
-    legend,
-    overlay_legend,
-)
+from asia.report.pictures.experiments import Kind, Span, draw_timeline
+from asia.report.pictures.simulation import simulation_panels
 
 # Frame of all pages: head, link back, state of the connection.
 
@@ -138,19 +132,19 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
         chosen = [("e", f"{run.name}/{number}") for number in (best.number, e.number)]
         links.append(tag("a", "overlay on the best", href=f"/compare?{urlencode(chosen)}"))
 
-    overlays = held_out_overlays(subject, e)
     simulations = None
-    if subject.problem is not None and overlays:
+    if subject.problem is not None and e.score is not None:
+        panels, notes = simulation_panels(run, subject.problem, e, subject.folds)
         boxes = [
             zoomable(
                 f"{address}/experiments/{e.number}/overlays/{k}",
-                draw_overlay(subject.problem, one),
-                len(one.measured),
+                draw_panel(subject.problem, one),
+                len(one),
             )
-            for k, one in enumerate(overlays)
+            for k, one in enumerate(panels)
         ]
-        text = tag("p", "Drag across a picture to see a part of it.")
-        simulations = join((text, overlay_legend(), tag("div", *boxes, class_="grid")))
+        text = tag("p", "Drag across a picture to see a part of it.", said(notes))
+        simulations = join((text, tag("div", *boxes, class_="grid")))
 
     # As `asia show` prints it.
     lines: list[str] = []
@@ -217,10 +211,12 @@ def zoomable(address: str, drawn: Html, count: int) -> Html:
 def overlay_part(snapshot: Snapshot, number: int, index: int, first: int, last: int | None) -> Html:
     """Samples `first` to `last` of an overlay, drawn. Raises UserError where there is none."""
     subject = snapshot.subject
-    overlays = held_out_overlays(subject, subject.view.experiment(number))
-    if subject.problem is None or not 0 <= index < len(overlays):
-        raise UserError(f"experiment {number} has no picture {index}")
-    return draw_overlay(subject.problem, overlays[index].cut(first, last))
+    e, problem = subject.view.experiment(number), subject.problem
+    if problem is not None and e.score is not None:
+        panels, _ = simulation_panels(subject.run, problem, e, subject.folds)
+        if 0 <= index < len(panels):
+            return draw_panel(problem, panels[index].cut(first, last))
+    raise UserError(f"experiment {number} has no picture {index}")
 
 
 # The list of runs.
@@ -416,7 +412,7 @@ def _texts(e: Experiment, subject: Subject) -> list[tuple[str, str]]:
     return found
 
 
-def _kind(e: Experiment) -> str:
+def _kind(e: Experiment) -> Kind:
     return "kept" if e.kept else "failed" if e.failure is not None else "other"
 
 
@@ -600,7 +596,8 @@ def now_panel(snapshot: Snapshot) -> Html:
             for fold, curve in sorted(folds.items()):
                 step, loss = curve[-1]
                 words = tag("span", f"{name}fold {fold}: loss {loss:.4g} at step {step:g}")
-                curves.append(tag("p", draw_loss(curve), words))
+                drawn = tag("svg", data_losses=json.dumps(curve), class_="loss", aria_hidden="true")
+                curves.append(tag("p", drawn, words))
         doing = join((join(each, ", "), tag("div", *curves, class_="losses") if curves else None))
     tiles: list[tuple[str, Html | None]] = [
         ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),
@@ -753,14 +750,14 @@ def timeline_part(snapshot: Snapshot) -> Html | None:
             times.setdefault(line.event.experiment, []).append(at)
     now = max([time for pair in times.values() for time in pair], default=0.0)
     spans = [
-        Span(e.number, e.proposed.title, _kind(e) if e.result else "running", *_ends(found, now))
+        Span(e.number, _kind(e) if e.result else "running", *_ends(found, now))
         for e in subject.view.experiments
         if (found := times.get(e.number))
     ]
     if not spans:
         return None
     alt = "Time of the evaluation of each experiment, from its proposal to its result."
-    drawings = both_sizes(partial(draw_timeline, spans, alt))
+    drawn = picture(partial(draw_timeline, spans), alt)
     start, end = (
         datetime.fromtimestamp(at, UTC).strftime("%Y-%m-%d %H:%M:%S")
         for at in (min(one.begin for one in spans), max(one.end for one in spans))
@@ -771,8 +768,7 @@ def timeline_part(snapshot: Snapshot) -> Html | None:
         "same time have rows of their own. Gaps are the agent and the decisions of the search. "
         "Longer pauses, such as those before a search was resumed, are cut out."
     )
-    keys = [("kept bar", "new best"), ("other bar", "no new best"), ("failed bar", "no score")]
-    return join((tag("p", text), where, tag("figure", drawings, legend(keys))))
+    return join((tag("p", text), where, drawn))
 
 
 def _ends(times: Sequence[float], now: float) -> tuple[float, float]:
@@ -788,8 +784,9 @@ _LIVE: Final = {
 
 def progress_part(subject: Subject) -> Html:
     """V of every experiment."""
-    finished = subject.view.finished
-    return progress_figure(subject, finished) if finished else tag("p", "There is no result yet.")
+    if subject.view.finished:
+        return progress_figure(subject)
+    return tag("p", "There is no result yet.")
 
 
 # Messages to an open page when its run has changed.

@@ -9,6 +9,8 @@ from functools import partial
 from html import escape
 from typing import Any, Final
 
+from matplotlib.figure import Figure
+
 from asia._text import one_line, printable
 from asia._timer import duration
 from asia.errors import InternalError
@@ -25,8 +27,9 @@ from asia.problem.physics import (
     Physics,
     parse_expression,
 )
+from asia.report.drawing.inline import WIDE, svg_of
 
-_VOID = frozenset({"meta", "br", "input", "line", "path", "circle", "rect"})
+_VOID = frozenset({"meta", "br", "input"})
 
 
 class Html(str):
@@ -47,7 +50,7 @@ def tag(name: str, /, *children: str | None, **attributes: object) -> Html:
         words.append(plain if value is True else f'{plain}="{escape(printable(str(value)))}"')
     opening = f"<{' '.join(words)}>"
     if name in _VOID:
-        return Html(opening if name in ("meta", "br", "input") else f"{opening[:-1]}/>")
+        return Html(opening)
     return Html(f"{opening}{join(children)}</{name}>")
 
 
@@ -77,6 +80,13 @@ def fixed(words: str) -> Html:
 def region(element: str, *children: str | None, label: str, **attributes: object) -> Html:
     """An element that scrolls by itself, with a name for screen readers."""
     return tag(element, *children, **attributes, tabindex="0", role="region", aria_label=label)
+
+
+def picture(draw: Callable[[], Figure], alt: str, width: float = WIDE) -> Html:
+    """A picture, as wide as the page unless `width` in inches says otherwise; a wide one scrolls
+    sideways where the page is narrow. alt: the picture in words."""
+    svg = Html(svg_of(draw, alt, width))
+    return tag("figure", region("div", svg, class_="wide", label=alt) if width == WIDE else svg)
 
 
 def section(key: str, title: str, *inner: str | None) -> Html | None:

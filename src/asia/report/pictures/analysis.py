@@ -90,10 +90,7 @@ def draw_linear(
                 step.fill_between(t, *ways, step="post", **shade)
         for plane in planes:
             for one, alpha in ((model, 1.0), *((fold, 0.3) for fold in folds)):
-                plane.plot(one.poles.real, one.poles.imag, "x", color=colour, alpha=alpha)
-                plane.plot(
-                    one.zeros.real, one.zeros.imag, "o", color=colour, alpha=alpha, fillstyle="none"
-                )
+                _plot_poles(plane, one.poles, one.zeros, color=colour, alpha=alpha)
     for row, (i, j) in enumerate(pairs):
         gain, phase, step = panels[row]
         out, into = outputs[i], inputs[j]
@@ -110,11 +107,8 @@ def draw_linear(
         _label_decades(gain.yaxis)
         for axis in (gain, phase):
             _label_decades(axis.xaxis)
-    turn = np.linspace(0, 2 * np.pi, 800)
     for plane in planes:
-        plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)
-        plane.set_title("poles (x) and zeros (o)")
-        quiet_grid(plane)
+        _draw_unit_circle(plane)
     planes[0].set_aspect("equal", adjustable="datalim")
     lines = panels[0][0].get_lines()
     if alone:
@@ -131,6 +125,35 @@ def draw_linear(
     names = [str(one.get_label()) for one in lines]
     axes[-1][2].legend(lines, names, loc="center", frameon=False, title=left_out or None)
     return figure
+
+
+def draw_poles(
+    models: Sequence[tuple[str, NDArray[np.complex128], NDArray[np.complex128]]],
+) -> Figure:
+    """Draw poles and zeros of models in the z-plane. models: name, poles and zeros of each."""
+    figure = Figure(figsize=(picture_width(), picture_width()), layout="constrained")
+    plane = figure.subplots()
+    for k, (name, poles, zeros) in enumerate(models):
+        _plot_poles(plane, poles, zeros, color=_COLOURS[k % len(_COLOURS)], label=plain(name))
+    _draw_unit_circle(plane)
+    plane.set_aspect("equal", adjustable="datalim")
+    figure_legend(figure, plane.get_legend_handles_labels()[0], 3)
+    return figure
+
+
+def _plot_poles(
+    plane: Axes, poles: NDArray[np.complex128], zeros: NDArray[np.complex128], **settings: Any
+) -> None:
+    plane.plot(poles.real, poles.imag, "x", gid="poles", **settings)
+    settings["label"] = None
+    plane.plot(zeros.real, zeros.imag, "o", fillstyle="none", gid="zeros", **settings)
+
+
+def _draw_unit_circle(plane: Axes) -> None:
+    turn = np.linspace(0, 2 * np.pi, 800)
+    plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)
+    plane.set_title("poles (x) and zeros (o)")
+    quiet_grid(plane)
 
 
 def _limit_to_lines(axis: Axes) -> None:

@@ -81,7 +81,7 @@ def test_a_validation_report_has_its_section_and_its_pictures(directory: Path) -
     assert "<script" not in page
     assert "&lt;script&gt;" in page
     assert re.search(r"[Tt]he check \S{1,6}inputs\S{1,6} fails", page)
-    assert "further ones are in report/validation.pdf" in page
+    assert "Further curves are in report/validation.pdf" in page
     assert page == page_of(open_run(directory))
     assert verify(directory).records
 

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from asia.judge.evaluation.references import CONTROLLERS
 from asia.problem.metrics import find_metric
 from asia.report.page.html import Html, join, said, table, tag
+from asia.report.page.sections.verdict import draw_held_out
 from asia.report.page.subject import Section, Subject, result_of
-from asia.report.page.svg import Overlay, draw_overlay, legend
-from asia.report.simulated import fold_outputs
-
-_MOST_PANELS = 8
 
 
 def _write(subject: Subject) -> Html | None:
@@ -41,8 +36,6 @@ def _write(subject: Subject) -> Html | None:
         ]
         for k in range(len(best.score.folds))
     ]
-    shown = [draw_overlay(problem, one) for one in _overlays(subject)[:_MOST_PANELS]]
-    entries = [("measured", "set point"), ("model", "response"), ("error", "input")]
     text = (
         "The controller of each fold ran in scenarios that it was not designed for: set points, "
         "disturbances, noise and plant parameters. V is the error of each signal in units of its "
@@ -53,39 +46,9 @@ def _write(subject: Subject) -> Html | None:
             tag("p", text),
             costs,
             table(head, each, "The winner on each fold"),
-            legend(entries),
-            tag("div", *shown, class_="grid"),
+            draw_held_out(subject, best),
         )
     )
-
-
-def _overlays(subject: Subject) -> list[Overlay]:
-    """Responses in the held-out scenarios, each output with the input that moves most."""
-    problem, best = subject.problem, subject.view.best
-    assert problem is not None
-    assert problem.control is not None
-    assert best is not None
-    control, found = problem.control, list[Overlay]()
-    outputs = fold_outputs(subject.run.store, best, subject.folds)
-    start = np.array([a.start for a in control.actuators])
-    ranges = np.array([a.max - a.min for a in control.actuators])
-    for fold, y_hat in zip(subject.folds, outputs, strict=True):
-        for block, response in zip(fold.held_out, y_hat, strict=True):
-            inputs = start + np.cumsum(response[:, len(control.controlled) :], axis=0)
-            shown = int(np.argmax(np.ptp(inputs, axis=0) / ranges))
-            for channel in range(len(control.controlled)):
-                found.append(
-                    Overlay(
-                        title=join((said(f"fold {fold.index + 1}, {block.case.name}"),)),
-                        alt=f"scenario {block.case.name}",
-                        channel=channel,
-                        first=0,
-                        measured=block.y,
-                        simulated=response,
-                        below=(control.base.inputs[shown].label, inputs[:, shown]),
-                    )
-                )
-    return found
 
 
 SECTION = Section("loop", "Closed loop", _write)

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from asia._files import read_file
@@ -24,12 +26,14 @@ from asia.ledger.evidence import (
 )
 from asia.ledger.run import Run
 from asia.ledger.text import interval_lines, parameter_remarks
+from asia.report.drawing.inline import PANEL
 from asia.report.page.html import (
     ONE,
     Html,
     facts,
     fixed,
     join,
+    picture,
     region,
     said,
     table,
@@ -37,7 +41,8 @@ from asia.report.page.html import (
     write_number,
 )
 from asia.report.page.subject import Section, Subject, used_no_test
-from asia.report.page.svg import draw_check, draw_poles
+from asia.report.pictures.analysis import draw_poles
+from asia.report.pictures.evidence import draw_check
 
 # The ablation: contributions of the changes to the gain of the winner.
 
@@ -319,6 +324,19 @@ IDENTIFIED = Section("identified", "Identified parameters", _write_identified)
 _KINDS: Final = {Verdict.PASS: "good", Verdict.DOUBT: "doubt", Verdict.FAIL: "none"}
 
 
+def _check_pictures(drawn: Sequence[DrawnCheck], further: Html | None = None) -> Html:
+    """The curves of checks. further: another picture beside them."""
+    parts: list[Html | None] = []
+    for one in drawn:
+        more = None
+        if one.left_out:
+            more = tag("p", "Further curves are in report/validation.pdf.")
+        names = ", ".join(curve.name for curve in one.curves)
+        alt = f"{one.name}: {one.axes[1]} over {one.axes[0]}, of {names}"
+        parts.append(tag("div", picture(partial(draw_check, one), alt, PANEL), more))
+    return tag("div", *parts, further, class_="grid")
+
+
 def _write_validation(subject: Subject) -> Html | None:
     found = subject.view.validated
     return join([_validation(subject, one) for one in found]) if found else None
@@ -360,8 +378,7 @@ def _validation(subject: Subject, found: Validated) -> Html:
     pictures = None
     if subject.run.store.kept:
         drawn = get_curves(subject.run.store, found.curves)
-        panels = [draw_check(one) for one in drawn]
-        pictures = tag("div", *panels, class_="grid") if panels else None
+        pictures = _check_pictures(drawn) if drawn else None
     after = used_no_test(found.after_unsealing)
     return join((tag("h3", title), counts, worst, after, checks, pictures))
 
@@ -382,8 +399,8 @@ CONTROL_FILE: Final = Path("control", "control.json")
 """File of `asia control` in the folder of a run."""
 
 
-def _complex(values: Sequence[Mapping[str, float]]) -> list[complex]:
-    return [complex(one["real"], one["imag"]) for one in values]
+def _complex(values: Sequence[Mapping[str, float]]) -> NDArray[np.complex128]:
+    return np.array([complex(one["real"], one["imag"]) for one in values], np.complex128)
 
 
 def command_lines(lines: Sequence[str], label: str, indent: int = 10) -> Html:
@@ -411,8 +428,11 @@ def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
         return tag("p", f"{file} is no file of this version: {remedy}.")
     note = tag("p", "Written by ", tag("code", command), ". The ledger does not record it.")
     text = command_lines(lines, f"Output of {command}")
-    panels = [*map(draw_check, drawn), *([draw_poles(planes)] if planes else [])]
-    return join((note, text, tag("div", *panels, class_="grid")))
+    poles = None
+    if planes:
+        alt = "Poles and zeros in the z-plane; the text has the poles"
+        poles = picture(partial(draw_poles, planes), alt, PANEL)
+    return join((note, text, _check_pictures(drawn, poles)))
 
 
 LINEAR = Section(

@@ -11,9 +11,11 @@ from typing import Final
 
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
+from asia.ledger.run import control
 from asia.ledger.text import error_line, phase_text
 from asia.ledger.view import Experiment
 from asia.problem.problem import is_described
+from asia.report.drawing.inline import WIDE, svg_of
 from asia.report.page.code import change, python
 from asia.report.page.html import (
     RULES,
@@ -21,6 +23,7 @@ from asia.report.page.html import (
     equations,
     facts,
     join,
+    picture,
     region,
     said,
     table,
@@ -28,17 +31,15 @@ from asia.report.page.html import (
     write_number,
 )
 from asia.report.page.subject import Section, Subject, result_of
-from asia.report.page.svg import (
+from asia.report.pictures.experiments import (
     LineageRow,
-    Point,
     Traded,
-    both_sizes,
-    draw_lanes,
-    draw_progress,
+    draw_lineage,
     draw_tradeoff,
     front_of,
-    legend,
+    lineage_width,
 )
+from asia.report.pictures.progress import draw_progress
 
 # All experiments: expectation, result, and change of the source.
 
@@ -199,7 +200,8 @@ def _write_lineage(subject: Subject) -> Html | None:
         title = tag("a", subject.name(e), " ", said(e.proposed.title, 80), href=f"#e{e.number}")
         value = tag("span", subject.v(e) if e.score else status_of(subject, e), class_="value")
         items.append(tag("li", title, made_from, value, class_="won" if won else None))
-    drawing, width = draw_lanes(rows)
+    drawing = Html(svg_of(partial(draw_lineage, rows), "", WIDE, fixed=True))
+    width = lineage_width(rows)
     text = "The thick line leads to the winner. A filled circle is a kept candidate."
     listed = tag("ol", *items, style=f"padding-left:{width}px")
     return join((tag("p", text), tag("div", drawing, listed, class_="lineage")))
@@ -296,7 +298,7 @@ def _write_progress(subject: Subject) -> Html | None:
     return join(
         (
             tag("p", text),
-            progress_figure(subject, [e for e in view.finished if e.number in listed]),
+            progress_figure(subject),
             table(["reference", view.v_name], references, "Reference models")
             if references
             else None,
@@ -309,29 +311,12 @@ def _write_progress(subject: Subject) -> Html | None:
     )
 
 
-def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
-    """The drawing for wide and for narrow screens, with its legend. shown: experiments with a
-    result."""
-    view = subject.view
-    bests = {e.number for e in view.bests}
-    points = [
-        Point(e.number, e.value, result_of(e).status, e.proposed.title, e.number in bests)
-        for e in shown
-    ]
-    levels = [(r.name, r.outcome.value) for r in view.references if isinstance(r.outcome, Score)]
-    alt = (
-        "V of each experiment with the best so far as a step line; the table below has the same "
-        "numbers."
-    )
-    drawings = both_sizes(partial(draw_progress, points, levels, view.v_name, alt))
-    kinds = [
-        ("kept", "new best"),
-        ("other", "no new best"),
-        ("failed", "no score"),
-        ("above", "V above the axis"),
-        ("best", "best so far"),
-    ]
-    return tag("figure", drawings, legend(kinds))
+def progress_figure(subject: Subject) -> Html:
+    """V of each experiment as a picture."""
+    run, view = subject.run, subject.view
+    alt = "V of each experiment with the best so far as a step line"
+    beside = control(run.directory, view.started, len(view.finished))
+    return picture(partial(draw_progress, view, run.metric, beside), alt)
 
 
 # V against the cost of a model, with the front that nothing dominates.
@@ -393,10 +378,10 @@ def _write_tradeoff(subject: Subject) -> Html | None:
         fronts |= {p.number: subject.view.experiment(p.number) for p in front_of(points)}
         alt = f"{subject.view.v_name} against {name}; the table below has the front."
         shown = name if axis != 1 else "µs a sample (processor time)"
-        draw = partial(draw_tradeoff, points, subject.view.v_name, shown, alt)
+        draw = partial(draw_tradeoff, points, subject.view.v_name, shown)
         box = tag("input", type="radio", name="axis", id=f"axis{axis}", checked=not choices)
         choices.append(tag("label", box, " ", name))
-        figures.append(tag("figure", both_sizes(draw), class_=f"axis{axis}"))
+        figures.append(tag("div", picture(draw, alt), class_=f"against axis{axis}"))
     if not figures:
         return None
     rows = [
@@ -412,15 +397,9 @@ def _write_tradeoff(subject: Subject) -> Html | None:
     known = [k for k in range(len(COSTS)) if any(row[2 + k] for row in rows)]
     rows = [[*row[:2], *(row[2 + k] for k in known)] for row in rows]
     head = ["candidate", subject.view.v_name, *(names[k] for k in known)]
-    keys = [
-        ("kept best", "no other candidate has less of both"),
-        ("other", "others"),
-        ("above", "V above the axis"),
-    ]
     return join((
         tag("fieldset", tag("legend", "V against"), *choices, class_="axes"),
         *figures,
-        legend(keys),
         table(head, rows, "Candidates that no other one beats in V and in a cost"),
     ))  # fmt: skip
 

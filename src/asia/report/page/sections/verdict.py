@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
 
 from asia._text import one_line
 from asia.judge.evaluation.references import CONTROLLERS
@@ -15,18 +17,19 @@ from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
+from asia.report.drawing.inline import PANEL
 from asia.report.page.code import python
-from asia.report.page.html import Html, facts, join, said, table, tag
+from asia.report.page.html import Html, facts, join, picture, said, table, tag
 from asia.report.page.subject import Section, Subject, result_of
-from asia.report.page.svg import Overlay, draw_overlay, overlay_legend
-from asia.report.published import Board, read_board
-from asia.report.simulated import (
-    final_models,
-    fold_outputs,
-    lowest,
-    representative_windows,
-    worst_fits,
+from asia.report.pictures.simulation import (
+    Panel,
+    draw_overlay,
+    draw_tested,
+    overlay_names,
+    simulation_panels,
 )
+from asia.report.published import Board, read_board
+from asia.report.simulated import final_models
 
 # Five lines for someone who has to decide.
 
@@ -298,19 +301,6 @@ def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
 HANDOVER = Section("use", "The model to use", _write_handover)
 
 
-# Measured against simulated outputs, as the sections show them.
-
-
-MOST_PANELS = 6
-"""Maximum number of panels of a section."""
-
-
-def _draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
-    shown = [draw_overlay(problem, one) for one in overlays[:MOST_PANELS]]
-    banded = any(one.band is not None for one in overlays)
-    return join((overlay_legend(banded=banded), tag("div", *shown, class_="grid")))
-
-
 # The sealed test, once it was opened.
 
 
@@ -355,9 +345,8 @@ def _write_tested(subject: Subject) -> Html | None:
         if board.entries and board.standings:
             parts.append(tag("h3", "Comparison with published results"))
             parts += [_board(board, index) for index in range(len(board.standings))]
-        if models and opened.horizon is None:
-            overlays = _test_overlays(subject, subject.problem, opened, *(chosen or models[0]))
-            parts.append(_draw_overlays(subject.problem, overlays))
+        if models:
+            parts.append(_draw_tested(subject, opened, *(chosen or models[0])[1:]))
     return join(parts)
 
 
@@ -410,30 +399,12 @@ def _board(board: Board, index: int) -> Html:
     return table(["result", "error", "error as a bar"], bars, caption)
 
 
-def _test_overlays(
-    subject: Subject, problem: Problem, opened: Unsealed, key: str, text: str, model: TestedModel
-) -> list[Overlay]:
-    store = subject.run.store
-    shapes = [(length, len(opened.channels)) for length in opened.lengths]
-    measured, simulated = (store.get_arrays(one, shapes) for one in (opened.measured, model.y_hat))
-    bands = [None] * len(shapes)
-    if opened.bands is not None and opened.bands.model == key:
-        edges = (store.get_arrays(one, shapes) for one in (opened.bands.lower, opened.bands.upper))
-        bands = list(zip(*edges, strict=True))
-    return [
-        Overlay(
-            title=join((said(name), ", ", text)),
-            alt=f"Test record {name}",
-            channel=channel,
-            first=problem.protocol.past,
-            measured=measured[i],
-            simulated=simulated[i],
-            skip=opened.skip,
-            band=bands[i],
-        )
-        for i, name in enumerate(opened.trajectories)
-        for channel in range(len(problem.outputs))
-    ]
+def _draw_tested(subject: Subject, opened: Unsealed, text: str, model: TestedModel) -> Html:
+    assert subject.problem is not None
+    problem, title = subject.problem, f"Sealed test: experiment {opened.experiment}"
+    alt = f"Measured outputs of the test and the simulation of the {text}"
+    draw = partial(draw_tested, subject.run, problem, opened, {text: model}, title)
+    return picture(draw, alt)
 
 
 TESTED = Section("test", "The sealed test", _write_tested)
@@ -450,9 +421,7 @@ def _write_accuracy(subject: Subject) -> Html | None:
         "Each fold of the cross-validation held out a part of the training records. Its model "
         "simulated that part from its start, and received no measured output after the start."
     )
-    overlays = held_out_overlays(subject, best)
-    drawn = _draw_overlays(problem, overlays) if problem is not None and overlays else None
-    return join((tag("p", text), _accuracy_table(subject, best), drawn))
+    return join((tag("p", text), _accuracy_table(subject, best), draw_held_out(subject, best)))
 
 
 def _accuracy_table(subject: Subject, best: Experiment) -> Html:
@@ -489,44 +458,29 @@ def _fold_name(subject: Subject, fold: int) -> Html:
     return join((number, ": ", said(re.sub(r"^block \d+ of \d+: (?=samples)", "", names[fold]))))
 
 
-def held_out_overlays(
-    subject: Subject, experiment: Experiment, others: Sequence[tuple[Subject, Experiment]] = ()
-) -> list[Overlay]:
-    """Return the simulations of an experiment's fold models on their held-out data, lowest fit
-    first: the first block of a fold, or its best and its worst window. None without a score or the
-    data.
+def draw_held_out(subject: Subject, experiment: Experiment) -> Html | None:
+    """Draw the simulations of an experiment's fold models on their held-out data, a picture for
+    each output and fold; None without a score or the data."""
+    problem = subject.problem
+    if problem is None or experiment.score is None:
+        return None
+    panels, notes = simulation_panels(subject.run, problem, experiment, subject.folds)
+    note = tag("p", said(notes.strip())) if notes else None
+    shown = [draw_panel(problem, one) for one in panels]
+    return join((note, tag("div", *shown, class_="grid")))
+
+
+def draw_panel(problem: Problem, panel: Panel, alt: str = "", **settings: Any) -> Html:
+    """Draw one panel as a picture.
 
     Args:
-        others: experiments with a score and with the same folds, whose simulations lie over these
+        alt: what it shows; default: its title.
+        settings: as those of `draw_overlay`.
     """
-    problem, score, folds = subject.problem, experiment.score, subject.folds
-    if problem is None or score is None:
-        return []
-    outputs = fold_outputs(subject.run.store, experiment, folds)
-    beside = [fold_outputs(other.run.store, e, folds) for other, e in others]
-    overlays: list[Overlay] = []
-    for channel in lowest(worst_fits(score), max(1, MOST_PANELS // len(folds))):
-        for k, (fold, y_hat) in enumerate(zip(folds, outputs, strict=True)):
-            chosen = [("", 0)]
-            if problem.protocol.kind == "windows":
-                found = representative_windows(
-                    [block.y for block in fold.held_out], y_hat, fold.scale
-                )
-                chosen = [(f"{word} window of ", i) for word, i in found if word != "median"]
-            for what, index in chosen:
-                block = fold.held_out[index]
-                overlays.append(
-                    Overlay(
-                        title=join((f"{what}fold ", _fold_name(subject, fold.index))),
-                        alt=f"{what}fold {fold.index + 1}",
-                        channel=channel,
-                        first=block.start,
-                        measured=block.y,
-                        simulated=y_hat[index],
-                        others=tuple(each[k][index] for each in beside),
-                    )
-                )
-    return overlays
+    settings = {**overlay_names(problem), **settings}
+    alt = f"{alt or panel.title}: measured and simulated {panel.signal.name}"
+    draw = partial(draw_overlay, [panel], problem.sampling_time, "", **settings)
+    return picture(draw, alt, PANEL)
 
 
 ACCURACY = Section("accuracy", "Accuracy", _write_accuracy)
