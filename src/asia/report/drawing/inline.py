@@ -3,7 +3,7 @@
 import hashlib
 import re
 from collections.abc import Callable
-from io import StringIO
+from io import BytesIO
 from typing import Final
 from xml.etree import ElementTree
 
@@ -55,23 +55,23 @@ def svg_of(draw: Callable[[], Figure], alt: str, width: float, *, fixed: bool = 
         width: as that of `drawing`, in inches.
         fixed: true for its size in pixels; otherwise it is as wide as its place.
     """
-    stream = StringIO()
+    stream = BytesIO()
     with drawing(width):
         figure = draw()
         figure.savefig(stream, format="svg", metadata=_METADATA)
         wide, high = 96 * figure.get_figwidth(), 96 * figure.get_figheight()
-    text = stream.getvalue()
+    text = stream.getvalue().decode()
     root = ElementTree.fromstring(text)
     prefix = f"p{hashlib.sha256(text.encode()).hexdigest()[:8]}-"
     ids: dict[str, str] = {}
     for name in re.findall(r'(?:url\(|xlink:href=")#([^)"]+)', text):
         ids.setdefault(name, f"{prefix}{len(ids)}")
     for element in root.iter():
-        element.tag = element.tag.partition("}")[2]
+        element.tag = element.tag.rpartition("}")[2]
         element.attrib = _attributes(element.attrib, ids)
         # What all children have, their group says once.
         styles = {child.get("style") for child in element}
-        kinds = {child.tag.partition("}")[2] for child in element}
+        kinds = {child.tag.rpartition("}")[2] for child in element}
         if kinds == {"use"} and len(styles) == 1 and (style := styles.pop()):
             element.set("style", _coloured(style))
             for child in element:
