@@ -12,8 +12,10 @@ import numpy as np
 from matplotlib import rcParams, style
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import Bbox, offset_copy
 
 from asia.data.trajectory import Array, Signal
@@ -236,6 +238,14 @@ def thinned(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
 def quiet_grid(axes: Axes) -> None:
     """Faint horizontal lines behind the data."""
     axes.grid(visible=True, axis="y")
+
+
+def label_decades(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis, also inside a short range."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 # Columns of panels, each a plot above a strip, with axes in line and room for every text.

@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Signal
@@ -29,6 +27,7 @@ from asia.report.drawing.style import (
     axis_label,
     entitle,
     figure_legend,
+    label_decades,
     picture_width,
     plain,
     quiet_grid,
@@ -104,9 +103,9 @@ def draw_linear(
         for axis in panels[row]:
             quiet_grid(axis)
             _limit_to_lines(axis)
-        _label_decades(gain.yaxis)
+        label_decades(gain.yaxis)
         for axis in (gain, phase):
-            _label_decades(axis.xaxis)
+            label_decades(axis.xaxis)
     for plane in planes:
         _draw_unit_circle(plane)
     planes[0].set_aspect("equal", adjustable="datalim")
@@ -172,14 +171,6 @@ def _limit_to_lines(axis: Axes) -> None:
     axis.set_ylim(max(low, float(ends[0])), min(high, float(ends[1])))
 
 
-def _label_decades(axis: Axis) -> None:
-    """Plain numbers on a logarithmic axis, also inside a short range."""
-    low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
-
-
 def draw_frequency_response(
     frequency: Array,
     measured: NDArray[np.complex128],
@@ -232,10 +223,10 @@ def draw_frequency_response(
         rest.set_title("residual")
         for axis in axes[row]:
             axis.set_xlabel("frequency [Hz]")
-            _label_decades(axis.xaxis)
+            label_decades(axis.xaxis)
             quiet_grid(axis)
         for axis in (gain, rest):
-            _label_decades(axis.yaxis)
+            label_decades(axis.yaxis)
     lines = [*axes[0][0].get_lines()[:3], *axes[0][2].get_lines()]
     figure_legend(figure, lines, 3)
     return figure

@@ -20,6 +20,7 @@ from asia.report.drawing.style import (
     QUIET,
     RED,
     figure_legend,
+    label_decades,
     picture_width,
     plain,
     quiet_grid,
@@ -67,7 +68,7 @@ def draw_tradeoff(points: Sequence[Traded], axis: str, below: str) -> Figure:
     log_values(axes, low, high)
     axes.set_xscale("log")
     axes.set_xlim(min(p.cost for p in points) / 1.3, max(p.cost for p in points) * 1.3)
-    axes.xaxis.set_major_formatter("{x:g}")
+    label_decades(axes.xaxis)
     axes.set_xlabel(below)
     axes.set_ylabel(plain(axis, 40))
     quiet_grid(axes)

@@ -24,7 +24,7 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Leg, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
-from asia.report.page.page import audit, page_of
+from asia.report.page.page import page_of
 from tests.unit.report.made_up import append_experiment, append_test
 
 from .conftest import ATTACK, TOKEN, make_run, write_linear
@@ -61,7 +61,7 @@ def test_the_page_of_a_run_has_its_experiments_the_last_one_first(client: TestCl
         ("1", "kept"),
     ]
     assert 'href="/runs/made/experiments/4"' in page
-    assert re.findall(r'class="why"><span class="said">([^<]*)', page) == [
+    assert re.findall(r'class="why">([^<]*)', page) == [
         "V 40.0 % above #02",
         "the simulation diverged to NaN or infinity: constrain stability, bound the states or "
         "lower the learning rate",
@@ -89,15 +89,6 @@ def test_what_a_candidate_says_is_text(client: TestClient, address: str) -> None
     assert ATTACK[:8] not in page.replace('<script src="/static/', "")
     assert "<img" not in page
     assert "&lt;script&gt;" in page
-
-
-def test_every_number_of_the_live_pages_is_the_ledgers(client: TestClient, runs: Path) -> None:
-    """As those of the report, which the same check refuses otherwise."""
-    lines = len(open_run(runs / "made").lines)
-    pages = ["/runs/made/curve", "/runs/made/rows", *(f"/runs/made/sections/{k}" for k in SECTIONS)]
-    pages += [f"/runs/made/experiments/{number}/part" for number in (1, 2, 3, 4)]
-    checked = [audit(client.get(address).text, runs / "made", lines) for address in pages]
-    assert sum(checked) > 50
 
 
 def test_sections_without_matter_are_empty(client: TestClient) -> None:
@@ -153,7 +144,7 @@ def test_only_a_folder_of_the_folder_itself_is_a_run(runs: Path, name: str) -> N
 def test_a_run_that_is_not_there_is_named(client: TestClient) -> None:
     answer = client.get("/runs/none")
     assert answer.status_code == 404
-    assert "no run &#x27;none&#x27;" in answer.text or "no run 'none'" in answer.text
+    assert "no run &#39;none&#39;" in answer.text
 
 
 def test_an_experiment_has_its_story_simulations_and_source(client: TestClient) -> None:
@@ -296,9 +287,9 @@ def test_the_text_search_reads_sources_and_output(client: TestClient, runs: Path
         chain.append(Evaluated(5, "crash", failure, (), output, 1.0))
     advice = Reason.CRASH.advice
     for words, place in (
-        ("ORDER 47", 'source: <span class="said"><mark>order</mark> = 47'),
+        ("ORDER 47", "source: <mark>order</mark> = 47"),
         ("saturates", "pump <mark>saturates</mark>"),
-        ("arx why", 'family: <span class="said"><mark>arx</mark>'),
+        ("arx why", "family: <mark>arx</mark>"),
         (advice, f"<mark>{advice.split()[0]}</mark>"),
     ):
         row = client.get("/runs/made/rows", params={"words": words}).text
@@ -356,7 +347,7 @@ def test_a_note_for_people_is_in_the_ledger_and_on_the_pages(
     assert run.view.tags(2) == ("again",)
     row = client.get("/runs/made/rows?words=again").text
     assert re.findall(r'<li id="e(\d)"', row) == ["2"]
-    assert '<span class="label"><span class="said">again</span></span>' in row
+    assert '<span class="label">again</span>' in row
     part = client.get("/runs/made/sections/notes").text
     assert ("for the paper" in part, "onerror=" in part, "<img" in part) == (True, True, False)
     page = page_of(run)
@@ -455,12 +446,12 @@ def test_settings_that_differ_are_compared(
     make_recipes(runs / "other", problem, [(recipes[0], 0.1), (recipes[1], 0.08)])
     page = client.get("/compare?e=other/1&e=other/2&e=made/1").text
     start = r'<tr(?: class="same")?><th scope="row">'
-    row = start + r'<span class="said">(\w[\w ]*)</span></th>(.*?)</tr>'
-    found = {name: re.findall(r'"said">([^<]*)<', cells) for name, cells in re.findall(row, page)}
+    row = start + r"(\w[\w ]*)</th>(.*?)</tr>"
+    found = {name: re.findall(r"<td>([^<]*)<", cells) for name, cells in re.findall(row, page)}
     assert found["na"] == ["2", "8", ""]
     assert found["training method"] == ["LeastSquares", "LeastSquares", "own code"]
     page = client.get("/compare?e=other/1&e=other/2").text
-    assert re.findall(r'<tr class="same"><th scope="row"><span class="said">([\w ]+)<', page) == [
+    assert re.findall(r'<tr class="same"><th scope="row">([\w ]+)<', page) == [
         "family", "training method", "nb",
     ]  # fmt: skip
     assert 'id="settings"' not in client.get("/compare?e=other/1").text
@@ -471,10 +462,9 @@ def test_values_that_differ_a_little_read_differently(
 ) -> None:
     make_run(runs / "near", problem, (("one", 0.12341), ("two", 0.12343), ("three", 0.2)))
     rows = client.get("/runs/near/rows").text
-    assert re.findall(r">(0\.\d+)</data>", rows) == ["0.20000", "0.12343", "0.12341"]
-    assert audit(rows, runs / "near", len(open_run(runs / "near").lines)) > 0
+    assert re.findall(r'class="value">(0\.\d+)<', rows) == ["0.20000", "0.12343", "0.12341"]
     page = client.get("/compare?e=near/1&e=near/2").text
-    assert {"0.12343", "0.12341"} <= set(re.findall(r">(0\.\d+)</data>", page))
+    assert {"0.12343", "0.12341"} <= set(re.findall(r"<td>(0\.\d+)<", page))
 
 
 def test_the_gallery_has_the_simulation_of_each_scored_experiment(client: TestClient) -> None:
