@@ -14,7 +14,7 @@ from markupsafe import Markup
 from asia._files import read_file
 from asia.errors import UserError
 from asia.judge.scoring.outcome import Score
-from asia.ledger.events import Evaluated
+from asia.ledger.events import Evaluated, Noted
 from asia.ledger.run import Run
 from asia.ledger.text import error_decimals, error_value
 from asia.ledger.view import Experiment, SearchView
@@ -56,6 +56,12 @@ class Subject:
         """All results in their order."""
         events = (line.event for line in self.run.lines)
         return tuple(event for event in events if isinstance(event, Evaluated))
+
+    @cached_property
+    def noted(self) -> tuple[tuple[Noted, str], ...]:
+        """Notes of users, each with its time."""
+        lines = self.run.lines
+        return tuple((one.event, one.time) for one in lines if isinstance(one.event, Noted))
 
     @property
     def seconds(self) -> float:

@@ -48,7 +48,12 @@ def status_of(subject: Subject, e: Experiment) -> str:
 def _content(subject: Subject) -> dict[str, Any] | None:
     if not subject.listed:
         return None
-    return {"status_of": partial(status_of, subject), "story": partial(experiment_story, subject)}
+    best = subject.view.best
+    return {
+        "winner": None if best is None else best.number,
+        "status_of": partial(status_of, subject),
+        "story": partial(experiment_story, subject),
+    }
 
 
 def experiment_story(subject: Subject, e: Experiment, link: str) -> Markup:
@@ -71,11 +76,10 @@ def experiment_story(subject: Subject, e: Experiment, link: str) -> Markup:
 def noted(subject: Subject, number: int | None = None) -> Iterator[tuple[Noted, str, str]]:
     """Yield notes of users on one experiment, or on the run and all its experiments, each with its
     text and its time."""
-    for line in subject.run.lines:
-        one = line.event
-        if isinstance(one, Noted) and (number is None or one.experiment == number):
+    for one, time in subject.noted:
+        if number is None or one.experiment == number:
             changes = " ".join((*(f"+{t}" for t in one.tags), *(f"−{t}" for t in one.removed)))
-            yield one, f"{changes} {one.text}".strip(), line.time[:16].replace("T", " ")
+            yield one, f"{changes} {one.text}".strip(), time[:16].replace("T", " ")
 
 
 def _notes(subject: Subject) -> dict[str, Any] | None:
