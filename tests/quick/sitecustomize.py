@@ -26,8 +26,8 @@ def unpainted(figure: ModuleType) -> None:
     paint = figure.Figure.savefig
 
     def blank(self: Any, target: Any, **settings: object) -> None:
-        if not hasattr(target, "write"):
-            # A file of a program that a test runs.
+        if not hasattr(target, "write") or settings["format"] == "svg":
+            # A file of a program that a test runs, or a picture that a browser shows.
             return paint(self, target, **settings)
         assert self.axes, "the picture shows nothing"
         return target.write(b"not painted")

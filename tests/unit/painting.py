@@ -14,7 +14,8 @@ _PAINT, _LAYOUT = Figure.savefig, Figure.draw_without_rendering
 def _blank(figure: Figure, stream: BytesIO, **settings: object) -> None:
     assert figure.axes, "the picture shows nothing"
     assert settings["format"] in ("png", "pdf", "svg")
-    stream.write(b"not painted")
+    is_svg = settings["format"] == "svg"
+    stream.write(b'<svg viewBox="0 0 1 1"/>' if is_svg else b"not painted")
 
 
 @contextmanager

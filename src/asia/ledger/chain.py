@@ -55,6 +55,8 @@ class Line:
     seq: int
     time: str
     event: Event
+    digest: str
+    """Digest that the next record names."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,7 @@ class Position:
 
     def behind(self, raw: bytes) -> Position:
         """The place after one more record."""
-        last = raw[raw.rfind(b"\n", 0, -1) + 1 :]
-        return Position(self.seq + 1, self.offset + len(raw), _digests(last)[1])
+        return Position(self.seq + 1, self.offset + len(raw), _head(raw))
 
 
 BEGIN = Position()
@@ -109,7 +110,7 @@ def decode(raw: bytes, seq: int, where: str) -> Line:
             text = "".join(json.loads(line)["text"] for line in raw.split(b"\n")[:-1])
         else:
             text = b"{" + rest + b"}"
-        return Line(seq, time.decode(), adapter.validate_json(text))
+        return Line(seq, time.decode(), adapter.validate_json(text), _head(raw))
     except (ValueError, KeyError, TypeError, ValidationError, RecursionError):
         raise UserError(
             f"{where}: event {seq} was written by another version of ASIA: read it with that one"
@@ -148,6 +149,11 @@ def scan(
         record = b"".join(lines)
         place, lines = Position(place.seq + 1, place.offset + len(record), head), []
         yield place, record
+
+
+def _head(record: bytes) -> str:
+    """Digest of a record, which is that of its last line, for the next one."""
+    return _digests(record[record.rfind(b"\n", 0, -1) + 1 :])[1]
 
 
 def _digests(raw: bytes) -> tuple[bytes, str]:
@@ -258,7 +264,6 @@ class Follower:
 
     def _begin(self) -> None:
         self.lines: list[Line] = []
-        self._heads = [BEGIN.head]
         self._place = BEGIN
         self._replay = Replay()
 
@@ -274,7 +279,9 @@ class Follower:
 
     def head_at(self, count: int) -> str:
         """Digest of the last of the first `count` lines; "" where there are fewer."""
-        return self._heads[count] if count < len(self._heads) else ""
+        if count == 0:
+            return BEGIN.head
+        return self.lines[count - 1].digest if count <= len(self.lines) else ""
 
     def read(self) -> bool:
         """Read the lines that are new and return whether there were any. A ledger that did not just
@@ -302,7 +309,6 @@ class Follower:
                 line = decode(raw, place.seq - 1, str(self._path))
                 self._replay.add(line.event)
                 self.lines.append(line)
-                self._heads.append(place.head)
                 self._place = place
 
 

@@ -3,11 +3,14 @@
 from base64 import b64encode
 from pathlib import Path
 
+from markupsafe import Markup
+
+from asia._text import one_line
 from asia.ledger.run import model_to_use, open_run
 from asia.ledger.text import error_value
 from asia.problem.load import load_lock
 from asia.report.files import png_of
-from asia.report.page.html import equations, join, said, tag
+from asia.report.page.render import render
 
 
 def brief_html(directory: Path) -> str:
@@ -17,23 +20,14 @@ def brief_html(directory: Path) -> str:
     problem = load_lock(directory / "problem.lock.toml")
     best, named = run.view.best, model_to_use(run.view)
     if best is None or best.score is None or named is None:
-        return str(tag("p", f"Run {said(run.name)}: no candidate has a score."))
+        return str(Markup("<p>Run {}: no candidate has a score.</p>").format(one_line(run.name)))
     fits = [fold.worst_fit for fold in best.score.folds if fold.worst_fit is not None]
     least = f", lowest fit index {min(fits):.1f} %" if fits else ""
     rows = (
-        ("run", said(run.name)),
-        ("best", join((f"#{best.number:02d} ", said(best.proposed.title)))),
+        ("run", one_line(run.name)),
+        ("best", f"#{best.number:02d} {one_line(best.proposed.title)}"),
         (run.view.v_name, f"{error_value(best.score.value)}{least}"),
-        ("model to use", join((f"{named.model}. ", said(named.reason, 300)))),
+        ("model to use", f"{named.model}. {one_line(named.reason)}"),
     )
-    lines = [tag("div", tag("b", name), ": ", text) for name, text in rows]
-    if problem.physics is not None:
-        lines.append(tag("div", *(formula for _, formula in equations(problem.physics))))
-    picture = png_of(run, problem, "simulation", 80)
-    image = tag(
-        "img",
-        src=f"data:image/png;base64,{b64encode(picture).decode()}",
-        alt="Simulation of held-out parts by the best candidate",
-        style="max-width:100%",
-    )
-    return str(tag("div", *lines, image))
+    picture = b64encode(png_of(run, problem, "simulation", 80)).decode()
+    return str(render("brief.html", rows=rows, physics=problem.physics, picture=picture))

@@ -8,7 +8,6 @@ from textwrap import fill
 from typing import Any, Final
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from asia._diagnostic import diagnostic
@@ -171,9 +170,7 @@ def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
     directory.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
     for name, draw in drawn:
-        # The ids of an SVG come from a fixed salt.
-        salted = rc_context({"svg.hashsalt": "asia", "svg.fonttype": "none"})
-        with drawing(_paper_width(draw)), salted:
+        with drawing(_paper_width(draw)):
             figure = draw()
             figure.draw_without_rendering()
             figure.set_layout_engine("none")

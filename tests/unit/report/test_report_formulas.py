@@ -7,7 +7,7 @@ import re
 import pytest
 
 from asia.problem.physics import parse_expression
-from asia.report.page.html import formula, symbol
+from asia.report.page.formulas import formula, symbol
 
 
 def words(text: str) -> str:

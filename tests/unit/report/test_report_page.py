@@ -1,7 +1,8 @@
-"""The page of a run: what stands on it, what never does, and that no number on it is made up."""
+"""The page of a run: what stands on it, and what never does."""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import re
@@ -15,7 +16,6 @@ import numpy as np
 import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
-from asia.errors import InternalError
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
 from asia.ledger.chain import Chain
@@ -38,10 +38,8 @@ from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import DESCRIPTION_TEMPLATE, Seal, is_described
 from asia.report.page.code import python
-from asia.report.page.html import Html, fixed, join, said, table, tag
-from asia.report.page.page import LIMIT, audit, page_of, write_page
+from asia.report.page.page import LIMIT, page_of, write_page
 from asia.report.page.sections.evidence import CERTIFICATE_FILE, LINEAR_FILE
-from asia.report.page.subject import Section, Subject
 from asia.report.pictures.evidence import draw_ablation
 
 from .made_up import Outcomes, write_run
@@ -66,11 +64,6 @@ def make_run(tmp_path: Path) -> Callable[..., Run]:
     return make
 
 
-def write(run: Run, inner: Callable[[Subject], Html]) -> str:
-    """A page with one section."""
-    return page_of(run, (Section("one", "One", inner),))
-
-
 def test_the_same_ledger_gives_the_same_bytes(make_run: Callable[..., Run]) -> None:
     directory = make_run().directory
     first = write_page(directory).read_bytes()
@@ -88,8 +81,8 @@ def test_words_of_candidates_are_shown_as_text(make_run: Callable[..., Run]) -> 
 
 def test_nothing_is_loaded_from_elsewhere(make_run: Callable[..., Run]) -> None:
     page = page_of(make_run(unsealed=1))
-    assert "default-src &#x27;none&#x27;" in page
-    assert not re.findall(r"""(?:src|href)=["'](?!#)|url\(|@import|https?:""", page)
+    assert "default-src 'none'" in page
+    assert not re.findall(r"""(?:src|href)=["'](?!#)|url\((?!#)|@import|https?:""", page)
 
 
 def test_every_part_of_an_opened_run_is_there(make_run: Callable[..., Run]) -> None:
@@ -113,7 +106,7 @@ def test_every_experiment_has_its_hypothesis_and_its_change(make_run: Callable[.
     for number in range(1, len(OUTCOMES) + 1):
         assert f'id="e{number}"' in page
     # The section of the model repeats that of the best candidate.
-    assert page.count('<dt>hypothesis</dt><dd><span class="said">because<') == len(OUTCOMES) + 1
+    assert page.count("<dt>hypothesis</dt><dd>because<") == len(OUTCOMES) + 1
     assert "-60.0 %" in page  # 0.2 against 0.5, the previous best
 
 
@@ -134,72 +127,15 @@ def test_headings_descend_and_pictures_have_words(make_run: Callable[..., Run]) 
         assert "aria-hidden" in svg or "aria-label" in svg
 
 
-def test_a_number_that_is_not_the_ledgers_is_refused(make_run: Callable[..., Run]) -> None:
+def test_an_event_on_several_lines_of_the_ledger_has_a_page(make_run: Callable[..., Run]) -> None:
     run = make_run()
-    best = run.view.best
-    assert best is not None
-    assert best.result is not None
-
-    def changed(subject: Subject) -> Html:
-        return Html(subject.v(best).replace(">0.2000<", ">0.1000<"))
-
-    assert "0.2000" in write(run, lambda subject: subject.v(best))
-    with pytest.raises(InternalError, match=r"says 0\.1000 where the ledger.* says 0\.2000"):
-        write(run, changed)
-
-
-def test_a_number_of_another_event_is_refused(make_run: Callable[..., Run]) -> None:
-    run = make_run()
-    best = run.view.best
-    assert best is not None
-    assert best.result is not None
-    place = f"{next(x.seq for x in run.lines if x.event is best.result)}:"
-
-    def elsewhere(subject: Subject) -> Html:
-        return Html(subject.v(best).replace(place, "4:"))
-
-    with pytest.raises(InternalError, match=r"the (page|number)"):
-        write(run, elsewhere)
-
-
-@pytest.mark.parametrize(
-    "inner",
-    [
-        tag("p", "97 % better"),
-        tag("p", tag("b", "V is 0.1")),
-        tag("data", "0.5", data_from="9:outcome.nothing", data_as="error", value="0.5"),
-        tag("data", "0.5", data_from="900:outcome.value", data_as="error", value="0.5"),
-        tag("data", "0.5", data_from=f"{'a' * 64}:value", data_as="error", value="0.5"),
-    ],
-)
-def test_a_number_without_a_source_is_refused(make_run: Callable[..., Run], inner: Html) -> None:
-    with pytest.raises(InternalError, match="report: "):
-        write(make_run(), lambda _: inner)
-
-
-def test_quoted_and_fixed_numbers_and_code_pass(make_run: Callable[..., Run]) -> None:
-    parts = said("grey-box 2"), fixed("95 %"), tag("code", "x1 = 3"), tag("p", "no digit")
-    assert "95 %" in write(make_run(), lambda _: join(parts))
-
-
-def test_nothing_is_written_where_the_check_fails(
-    make_run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = make_run()
-
-    def failing(page: str, directory: Path, events: int) -> int:
-        raise InternalError("report: a number")
-
-    monkeypatch.setattr("asia.report.page.page.audit", failing)
-    with pytest.raises(InternalError):
-        write_page(run.directory)
-    assert not (run.directory / "report" / "report.html").exists()
-
-
-def test_the_numbers_of_a_whole_page_are_checked(make_run: Callable[..., Run]) -> None:
-    run = make_run(unsealed=1)
-    page = page_of(run)
-    assert audit(page, run.directory, len(run.lines)) == page.count("<data ") > 50
+    with Chain(run.directory / "ledger.jsonl") as chain:
+        chain.append(Refitted(4, None, "made up " * 20_000))
+    raw = (run.directory / "ledger.jsonl").read_bytes()
+    run = open_run(run.directory)
+    assert raw.count(b"\n") > len(run.lines)
+    digest = hashlib.sha256(raw.splitlines()[-1]).hexdigest()
+    assert f"<code>{digest}</code>" in page_of(run)
 
 
 @pytest.mark.long
@@ -247,10 +183,10 @@ def test_the_bands_of_the_test_stand_beside_what_they_are_meant_to_hold(
     page = page_of(open_run(other))
     assert "87.3 %" in page
     assert "90.0 %" in page
-    assert 'class="outputs"' not in page_of(run)
-    drawn = page[page.index('id="test"') :]
-    assert drawn.count('class="outputs"') == 2 * drawn.count('class="line model"')
-    assert "output bands" in drawn
+    assert 'class="band"' not in page_of(run)
+    drawn = page[page.index('id="test"') :].split("</section>")[0]
+    assert drawn.count('class="band"') == 2 * drawn.count('class="simulated"') > 0
+    assert "band of 90 %, holds 87 %" in drawn
 
 
 def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
@@ -271,7 +207,7 @@ def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
     part = page[page.index('id="identified"') :]
     for words in ("-0.25 * sqrt(x) &lt;b&gt;", "0.2264", "0.2736", "1/s", "-0.987", "upper end"):
         assert words in part
-    assert "in the candidate&#x27;s own words" in part or "in the candidate's own words" in part
+    assert "in the candidate&#39;s own words" in part
     name = put_estimates(run.store, found, library=True)
     with Chain(run.directory / "ledger.jsonl") as chain:
         chain.append(Refitted(4, None, "made up", estimates=name))
@@ -279,13 +215,11 @@ def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
     assert "The equations of the best candidate, with the fitted numbers" in part
     assert "own words" not in part
     assert "<script>alert" not in page
-    assert audit(page, run.directory, len(open_run(run.directory).lines)) > 10
 
 
 def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     make_run: Callable[..., Run],
 ) -> None:
-    """Its ends are recomputed from the refit and the fold models, which the audit repeats."""
     run = make_run(parameters=[(("b", 2.0), ("R", value)) for value in (0.8, 1.3)])
     rows = (
         ParameterEstimate("R", 1.0, 0.01, 0.98, 1.02, "Ohm", 0.1, 10.0),
@@ -306,7 +240,6 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     assert "R differs significantly between the folds" in part
     assert "The folds disagree on R" in page
     assert 'class="stamp shown">Not validated<' in page
-    assert audit(page, run.directory, len(run.lines)) > 10
 
 
 @pytest.mark.parametrize(
@@ -379,7 +312,7 @@ def test_linear_models_have_their_section_and_a_foreign_file_does_no_harm(
     assert "order     2" in section
     assert "&lt;script&gt;" in section
     assert "<script" not in page
-    assert 'class="line series0"' in section
+    assert 'class="curve"' in section
     for content in ("[]", "{", '{"text": 3, "drawn": []}', " " * 5_000_000):
         file.write_text(content)
         assert "is no file of this version: run asia linear again" in page_of(open_run(directory))
@@ -424,11 +357,6 @@ def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run
     assert "cannot be crossed" in page_of(open_run(directory))
 
 
-def test_a_record_may_have_a_number_in_its_name(make_run: Callable[..., Run]) -> None:
-    page = write(make_run(), lambda _: table(["of"], [["one"]], "Test error of 100mV [um]"))
-    assert "Test error of 100mV [um]</span></caption>" in page
-
-
 def test_a_source_is_coloured_and_escaped() -> None:
     shown = str(python('if a < 1:  # <b>\n    b = "<i>"\n', "source"))
     for part in ('<span class="k">if</span>', '<span class="m">1</span>', "a &lt; "):
@@ -453,9 +381,9 @@ def test_the_description_of_the_problem_is_on_the_page(make_run: Callable[..., R
     run = make_run()
     assert 'id="problem"' in page_of(run)
     page = page_of(run)
-    assert '<h3><span class="said">Two tanks in series, simulated</span></h3>' in page
+    assert "<h3>Two tanks in series, simulated</h3>" in page
     assert "A pump fills an upper tank; its water runs through an opening" in page
-    assert '<li><span class="said">The two tanks and their openings are of about' in page
+    assert "<li>The two tanks and their openings are of about" in page
     assert not is_described(DESCRIPTION_TEMPLATE.format(name="mill"))
     assert not is_described(" ")
     assert is_described("A pump fills a tank.")

@@ -45,18 +45,15 @@ from asia.interfaces.view.pages import (
     experiment_rows,
     overlay_part,
     progress_part,
-    run_address,
     run_page,
     runs_page,
     runs_table,
     section_part,
-    start_form,
     tab_page,
-    whole_page,
 )
+from asia.interfaces.view.render import fill, run_address
 from asia.interfaces.view.streams import Starter, Streams, tell
-from asia.report.page.html import said, tag
-from asia.report.page.page import page_style
+from asia.report.page.render import page_style
 
 # Routes of the pages and their contents.
 
@@ -112,7 +109,7 @@ class _Pages:
         listed = self.folder.listed()
         digest = digest_of(runs_table(listed))
         given = self.starter
-        start = None if given is None else start_form(given.problems, given.agents)
+        start = None if given is None else (given.problems, given.agents)
         return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token, start))
 
     def run(self, request: Request) -> Response:
@@ -215,8 +212,8 @@ class _Pages:
         words = str(error)
         if request.method == "POST":
             return JSONResponse({"words": words}, 409)
-        main = (tag("h1", "This cannot be shown"), tag("p", said(words, 1000)))
-        page = whole_page("Not shown", (("Searches", "/"),), main, self.token)
+        trail = (("Searches", "/"),)
+        page = fill("refused.html", token=self.token, title="Not shown", trail=trail, words=words)
         return HTMLResponse(page, 404)
 
 

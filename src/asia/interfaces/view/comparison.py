@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from urllib.parse import urlencode
 
+from markupsafe import Markup
+
+from asia._timer import duration
 from asia.agents.library.recipe import read_recipe
 from asia.errors import UserError
 from asia.interfaces.view.followed import Snapshot
-from asia.interfaces.view.pages import run_address, state_mark, whole_page, zoomable
-from asia.ledger.events import TestedModel
-from asia.ledger.run import model_to_use, tested_model
+from asia.interfaces.view.pages import zoomable
+from asia.interfaces.view.render import fill, run_address
+from asia.ledger.run import model_to_use
+from asia.ledger.text import error_value
 from asia.ledger.view import Experiment
 from asia.problem.problem import Problem
-from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
-from asia.report.page.sections.experiments import COSTS, cost_of, status_of, tag_labels
-from asia.report.page.sections.verdict import held_out_overlays, stamp
-from asia.report.page.subject import Subject, result_of, v_form
-from asia.report.page.svg import (
-    BestSoFar,
-    Overlay,
-    both_sizes,
-    draw_best,
-    draw_overlay,
-    legend,
-    series,
-)
+from asia.report.comparison import ArmCurves, ArmsPicture, Curve
+from asia.report.page.render import picture
+from asia.report.page.sections.experiments import COSTS, cost_of, status_of
+from asia.report.page.sections.verdict import draw_panel, stamp, tested_figure
+from asia.report.page.subject import Subject, decimals_of
+from asia.report.pictures.progress import draw_arms
+from asia.report.pictures.simulation import Panel, simulation_panels
 
 _MOST_CHOICES = 40
 
@@ -64,27 +62,31 @@ class Compared:
 
 def comparison_page(compared: Sequence[Compared], token: str) -> str:
     """The page of a comparison."""
-    streams = [
-        tag(
-            "span",
-            data_stream=f"{run_address(one.name)}/events",
-            data_mark=one.snapshot.mark,
-            hidden=True,
-        )
-        for one in compared
-    ]
-    part = tag("div", comparison_part(compared), data_refresh=f"/compare/part?{_query(compared)}")
-    header = tag("header", tag("h1", "Comparison"))
-    trail = [("Searches", "/"), *((one.name, run_address(one.name)) for one in compared[:3])]
-    title = ", ".join(one.name for one in compared)
-    return whole_page(title, trail, (header, *streams, part, _chooser(compared)), token)
+    return fill(
+        "comparison_page.html",
+        token=token,
+        title=", ".join(one.name for one in compared),
+        trail=[("Searches", "/"), *((one.name, run_address(one.name)) for one in compared[:3])],
+        compared=compared,
+        query=_query(compared),
+        part=comparison_part(compared),
+        choices=[(one, _choices(one)) for one in compared],
+    )
+
+
+def _choices(one: Compared) -> list[Experiment]:
+    """The experiments of lowest V of a run, and those that are chosen."""
+    scored = [e for e in one.subject.view.finished if e.score is not None]
+    scored.sort(key=lambda e: e.score.value if e.score else 0.0)
+    scored = scored[:_MOST_CHOICES]
+    return scored + [e for e in one.experiments if e not in scored]
 
 
 def _query(compared: Sequence[Compared]) -> str:
     return urlencode([pair for one in compared for pair in one.query])
 
 
-def comparison_part(compared: Sequence[Compared]) -> Html:
+def comparison_part(compared: Sequence[Compared]) -> Markup:
     """Write the content of the page."""
     subjects = [one.subject for one in compared]
     axes = {one.view.v_name for one in subjects}
@@ -93,28 +95,48 @@ def comparison_part(compared: Sequence[Compared]) -> Html:
         warning = "The runs have different problems or protocols: do not compare their V."
     elif len(axes) > 1:
         warning = "V was computed under different rules in the runs: do not compare it."
-    if warning is not None:
-        warning = tag("p", warning, class_="trouble")
     curves = None
     if len(subjects) > 1:
-        searches = [
-            BestSoFar(
-                one.run.name,
-                tuple((e.number, e.score.value) for e in one.view.bests if e.score is not None),
-                max((e.number for e in one.view.finished), default=0),
-            )
+        sides = tuple(
+            ArmCurves(one.run.name, (Curve(tuple(e.value for e in one.view.finished)),))
             for one in subjects
-        ]
-        axis, alt = axes.pop() if len(axes) == 1 else "V", "Best V so far over the experiments."
-        curves = tag("figure", both_sizes(partial(draw_best, searches, axis, alt)))
-    parts = (
-        section("figures", "Runs", warning, _runs_table(subjects)),
-        section("curves", "Best so far", curves),
-        section("chosen", "Experiments", _experiments_table(compared)),
-        section("settings", "Settings", _settings(compared)),
-        section("overlays", "Measured and simulated", _overlays(compared)),
+        )
+        title = "Best V so far over the experiments"
+        arms = ArmsPicture("best", title, sides, (), subjects[0].run.metric)
+        curves = picture(partial(draw_arms, arms), title)
+    chosen = [(one, e) for one in compared for e in one.experiments]
+    costs = [
+        [cost_of(one.subject, e, k) if e.result else None for k in range(len(COSTS))]
+        for one, e in chosen
+    ]
+    known = [k for k in range(len(COSTS)) if any(row[k] for row in costs)]
+    settings = _settings(chosen)
+    return fill(
+        "comparison.html",
+        subjects=subjects,
+        warning=warning,
+        stamp=stamp,
+        has_tags=any(one.view.tags() for one in subjects),
+        rows=_runs_rows(subjects),
+        curves=curves,
+        chosen=[
+            (
+                one.name,
+                one.subject,
+                e,
+                status_of(one.subject, e),
+                ", ".join(error_value(fold.value) for fold in e.score.folds) if e.score else "",
+                [(row[k] or (0, ""))[1] for k in known],
+            )
+            for (one, e), row in zip(chosen, costs, strict=True)
+        ],
+        costs=[COSTS[k] for k in known],
+        decimals=decimals_of([e for _, e in chosen]),
+        settings=settings,
+        common=sum(is_same for _, _, is_same in settings),
+        boxes=_overlays(compared),
+        troubled=[one for one in compared if one.snapshot.trouble],
     )
-    return join(parts)
 
 
 def _together(compared: Sequence[Compared]) -> list[list[tuple[int, Subject, Experiment]]]:
@@ -130,122 +152,56 @@ def _together(compared: Sequence[Compared]) -> list[list[tuple[int, Subject, Exp
     return list(groups.values())
 
 
-def _drawn(compared: Sequence[Compared]) -> list[tuple[Problem, Overlay, tuple[int, ...]]]:
-    """Every overlay, with the numbers of its experiments in the comparison."""
-    found: list[tuple[Problem, Overlay, tuple[int, ...]]] = []
+def _drawn(compared: Sequence[Compared]) -> list[tuple[Problem, Panel, tuple[str, ...]]]:
+    """Every overlay, with the names of its experiments."""
+    found: list[tuple[Problem, Panel, tuple[str, ...]]] = []
+    labels = [f"{one.name} #{e.number:02d}" for one in compared for e in one.experiments]
     for group in _together(compared):
         (_, subject, first), *others = group
         assert subject.problem is not None
-        numbers = tuple(number for number, _, _ in group)
-        overlays = held_out_overlays(subject, first, [one[1:] for one in others])
-        found += [(subject.problem, one, numbers) for one in overlays]
+        names = tuple(labels[number] for number, _, _ in group)
+        over = [(other.run, e) for _, other, e in others]
+        panels, _ = simulation_panels(subject.run, subject.problem, first, subject.folds, over)
+        found += [(subject.problem, one, names) for one in panels]
     return found
 
 
-def _overlays(compared: Sequence[Compared]) -> Html:
+def _draw(problem: Problem, panel: Panel, names: Sequence[str]) -> Markup:
+    # The error in the title is that of the first one.
+    panel = panel if len(names) == 1 else replace(panel, error="")
+    return draw_panel(problem, panel, simulated=names[0], others=names[1:])
+
+
+def _overlays(compared: Sequence[Compared]) -> list[Markup]:
     """The simulations of the chosen experiments over the measured outputs, group by group."""
-    labels = [f"{one.name} #{e.number:02d}" for one in compared for e in one.experiments]
-    parts: list[Html] = []
-    boxes: list[Html] = []
-    drawn = _drawn(compared)
-    for index, (problem, overlay, numbers) in enumerate(drawn):
-        boxes.append(
-            zoomable(
-                f"/compare/overlays/{index}?{_query(compared)}",
-                draw_overlay(problem, overlay),
-                len(overlay.measured),
-            )
-        )
-        if index + 1 == len(drawn) or drawn[index + 1][2] != numbers:
-            keys = [("measured", "measured")]
-            # A single simulation and its error have colours of their own.
-            names = [series(k) for k in range(len(numbers))] if len(numbers) > 1 else ["model"]
-            keys += [(name, said(labels[n])) for name, n in zip(names, numbers, strict=True)]
-            keys += [("error", "error")] if len(numbers) == 1 else []
-            parts += [legend(keys), tag("div", *boxes, class_="grid")]
-            boxes = []
-    missing = [one for one in compared if one.snapshot.trouble]
-    parts += [
-        tag("p", said(f"{one.name}: no simulations, {one.snapshot.trouble}", 600), class_="trouble")
-        for one in missing
+    return [
+        zoomable(f"/compare/overlays/{index}?{_query(compared)}", _draw(*one), len(one[1]))
+        for index, one in enumerate(_drawn(compared))
     ]
-    return join(parts) if parts else tag("p", "No chosen experiment has a score.")
 
 
 def compared_overlay(
     compared: Sequence[Compared], index: int, first: int, last: int | None
-) -> Html:
+) -> Markup:
     """Samples `first` to `last` of an overlay, drawn. Raises UserError where there is none."""
     drawn = _drawn(compared)
     if not 0 <= index < len(drawn):
         raise UserError(f"the comparison has no picture {index}")
-    problem, one, _ = drawn[index]
-    return draw_overlay(problem, one.cut(first, last))
+    problem, panel, names = drawn[index]
+    return _draw(problem, panel.cut(first, last), names)
 
 
-def _experiments_table(compared: Sequence[Compared]) -> Html | None:
-    rows: list[list[str | None]] = []
-    form = v_form([e for one in compared for e in one.experiments])
-    for one in compared:
-        for e in one.experiments:
-            subject = one.subject
-            address = f"{run_address(one.name)}/experiments/{e.number}"
-            title = join((subject.name(e), " ", said(e.proposed.title, 80)))
-            labels = tag_labels(subject.view.tags(e.number))
-            status = status_of(subject, e)
-            places = range(len(e.score.folds)) if e.score else ()
-            folds = [subject.number(result_of(e), f"outcome.folds.{k}.value", "error")
-                     for k in places]  # fmt: skip
-            costs = [cost_of(subject, e, k) if e.result else None for k in range(len(COSTS))]
-            rows.append([
-                join((said(one.name), " ", tag("a", title, href=address), " ", labels)),
-                tag("span", status, class_=f"status {status}"),
-                subject.v(e, form) if e.score else "no score",
-                join(folds, ", "),
-                *(None if cost is None else cost[1] for cost in costs),
-            ])  # fmt: skip
-    head = ["experiment", "status", "V", "V of the folds", *(name for name, *_ in COSTS)]
-    known = [k for k in range(len(head)) if k < 4 or any(row[k] for row in rows)]
-    head, rows = [head[k] for k in known], [[row[k] for k in known] for row in rows]
-    return table(head, rows, "Chosen experiments") if rows else None
-
-
-def _settings(compared: Sequence[Compared]) -> Html | None:
-    """Table of the settings of the chosen experiments, with a switch that leaves out those that are
-    the same in all; None for a single experiment."""
-    head: list[Html] = []
-    columns: list[dict[str, str]] = []
-    for one in compared:
-        for e in one.experiments:
-            label = join((said(one.name), " ")) if len(compared) > 1 else None
-            address = f"{run_address(one.name)}/experiments/{e.number}"
-            head.append(join((label, tag("a", one.subject.name(e), href=address))))
-            columns.append(_settings_of(one, e))
-    if len(columns) < 2:
-        return None
-    rows: list[Html] = []
-    names = list(dict.fromkeys(name for column in columns for name in column))
-    common = 0
-    for name in names:
+def _settings(chosen: Sequence[tuple[Compared, Experiment]]) -> list[tuple[str, list[str], bool]]:
+    """Return each setting, its value in each experiment, and whether all are the same; [] for a
+    single experiment."""
+    if len(chosen) < 2:
+        return []
+    columns = [_settings_of(one, e) for one, e in chosen]
+    rows: list[tuple[str, list[str], bool]] = []
+    for name in dict.fromkeys(name for column in columns for name in column):
         values = [column.get(name, "") for column in columns]
-        is_same = len(set(values)) == 1
-        common += is_same
-        cells = [tag("td", said(value, 200)) for value in values]
-        title = tag("th", said(name), scope="row")
-        rows.append(tag("tr", title, *cells, class_="same" if is_same else None))
-    box = tag("input", type="checkbox", id="differing", checked=True)
-    alike = f" ({common} {'is' if common == 1 else 'are'} the same)"
-    switch = tag("p", tag("label", box, " differences only"), fixed(alike))
-    if common == len(names):
-        switch = join((switch, tag("p", "All settings are the same.")))
-    inner = tag(
-        "table",
-        tag("caption", "Settings; empty: the default of the library"),
-        tag("thead", tag("tr", *(tag("th", one, scope="col") for one in ("setting", *head)))),
-        tag("tbody", *rows),
-    )
-    listed = region("div", inner, class_="scroll both differences", label="Settings")
-    return join((switch, listed))
+        rows.append((name, values, len(set(values)) == 1))
+    return rows
 
 
 def _settings_of(one: Compared, e: Experiment) -> dict[str, str]:
@@ -261,76 +217,35 @@ def _settings_of(one: Compared, e: Experiment) -> dict[str, str]:
     return {"family": recipe.family, "training method": recipe.method, **settings}
 
 
-def _chooser(compared: Sequence[Compared]) -> Html:
-    """Form with the experiments of lowest V of each run, and those that are chosen."""
-    lists: list[Html] = []
-    for one in compared:
-        scored = sorted(
-            (e for e in one.subject.view.finished if e.score is not None),
-            key=lambda e: e.score.value if e.score else 0.0,
-        )[:_MOST_CHOICES]
-        scored += [e for e in one.experiments if e not in scored]
-        boxes = [
-            tag("li", tag("label",
-                tag("input", type="checkbox", name="e", value=f"{one.name}/{e.number}",
-                    checked=e in one.experiments),
-                " ", one.subject.name(e), " ", said(e.proposed.title, 80), " ",
-                one.subject.v(e) if e.score else None,
-            ))
-            for e in scored
-        ]  # fmt: skip
-        title = tag("summary", said(one.name))
-        kept = tag("input", type="hidden", name="run", value=one.name)
-        lists.append(tag("details", title, kept, tag("ul", *boxes), open=len(compared) == 1))
-    button = tag("button", "Show the chosen experiments", type="submit")
-    form = tag("form", *lists, button, action="/compare", method="get", class_="chooser")
-    chooser = section("choose", "Choose experiments", form)
-    assert chooser is not None
-    return chooser
+def _runs_rows(subjects: Sequence[Subject]) -> list[list[str]]:
+    """Figures of the runs, each with its name."""
 
+    def reference(subject: Subject, name: str) -> str:
+        value = subject.reference(name)
+        return "none" if value is None else error_value(value)
 
-def _runs_table(subjects: Sequence[Subject]) -> Html:
-    def verdict(subject: Subject) -> Html:
-        text, kind = stamp(subject)
-        return tag("span", text, class_=f"stamp small {kind}")
-
-    def best(subject: Subject) -> Html:
-        found = subject.view.best
-        return subject.v(found) if found is not None else tag("span", "no score")
-
-    def reference(subject: Subject, name: str) -> Html:
-        found = subject.reference(name)
-        if found is None:
-            return tag("span", "none")
-        return subject.number(found[0], "outcome.value", "error")
-
-    def tested(subject: Subject) -> Html:
+    def tested(subject: Subject) -> str:
         """The test score of the model to use, once the test was opened."""
         opened, named = subject.view.unsealed, model_to_use(subject.view)
         if opened is None or named is None:
-            return tag("span", "not opened")
-        place = named.model if getattr(opened, named.model) is not None else "ensemble"
-        if not isinstance(tested_model(opened, named.model), TestedModel):
-            return tag("span", "no answer")
-        return subject.number(opened, f"{place}.scores.0.value", "sig4")
+            return "not opened"
+        found = tested_figure(opened, named.model)
+        return "no answer" if found is None else found[1]
+
+    def best(subject: Subject) -> str:
+        found = subject.view.best
+        return "no score" if found is None else subject.v(found)
 
     references = dict.fromkeys(one.name for subject in subjects for one in subject.view.references)
-    rows: list[tuple[str, Callable[[Subject], Html]]] = [
-        ("state", lambda s: state_mark(s.run.state)),
-        ("verdict", verdict),
-        ("tags", lambda s: tag_labels(s.view.tags()) or tag("span")),
-        ("problem", lambda s: said(s.view.started.problem)),
-        ("agent", lambda s: said(s.view.started.agent)),
-        ("seed", lambda s: s.number(s.view.started, "seed", "text")),
-        ("isolation", lambda s: said(s.view.started.isolation_words)),
-        ("experiments", lambda s: s.over("evaluated", "experiment", "count", "count")),
-        ("evaluation time", lambda s: s.over("evaluated", "seconds", "sum", "duration")),
+    rows: list[tuple[str, Callable[[Subject], str]]] = [
+        ("problem", lambda s: s.view.started.problem),
+        ("agent", lambda s: s.view.started.agent),
+        ("seed", lambda s: str(s.view.started.seed)),
+        ("isolation", lambda s: s.view.started.isolation_words),
+        ("experiments", lambda s: str(len(s.evaluations))),
+        ("evaluation time", lambda s: duration(s.seconds)),
         ("V, the best", best),
         *((f"V, {name}", partial(reference, name=name)) for name in references),
         ("error on the sealed test", tested),
     ]
-    head = ["", *(tag("a", said(s.run.name), href=run_address(s.run.name)) for s in subjects)]
-    if not any(s.view.tags() for s in subjects):
-        rows = [row for row in rows if row[0] != "tags"]
-    cells = [(text, *map(cell, subjects)) for text, cell in rows]
-    return tag("div", table(head, cells, "Compared runs"), class_="both")
+    return [[text, *map(cell, subjects)] for text, cell in rows]

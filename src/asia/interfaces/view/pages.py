@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import getpass
 import hashlib
+import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
-from urllib.parse import quote, urlencode
+from urllib.parse import urlencode
 
 import numpy as np
+from markupsafe import Markup
 
 from asia._text import one_line, printable_line
 from asia.agents.library.recipe import Recipe, read_recipe
@@ -22,74 +24,25 @@ from asia.agents.registry import reads_notes
 from asia.analysis.importance import LEAST_EXPERIMENTS, settings_importance
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
+from asia.interfaces.view.render import experiments_of, fill, run_address
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.evidence import evidence_of, settings_of_run
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import Experiment
-from asia.report.page.code import python
-from asia.report.page.html import Html, fixed, join, region, said, section, table, tag
+from asia.report.page.render import picture
 from asia.report.page.sections import SECTIONS
-from asia.report.page.sections.experiments import (
-    experiment_story,
-    progress_figure,
-    status_of,
-    tag_labels,
+from asia.report.page.sections.evidence import (
+    CERTIFICATE_FILE,
+    CONTROL_FILE,
+    LINEAR_FILE,
+    LOOP_CERTIFICATE_FILE,
 )
-from asia.report.page.sections.verdict import held_out_overlays
+from asia.report.page.sections.experiments import experiment_story, progress_figure, status_of
+from asia.report.page.sections.verdict import draw_panel
 from asia.report.page.subject import Detail, Subject
-from asia.report.page.svg import (
-    Span,
-    both_sizes,
-    draw_loss,
-    draw_overlay,
-    draw_timeline,
-    legend,
-    overlay_legend,
-)
-
-# Frame of all pages: head, link back, state of the connection.
-
-
-def run_address(name: str) -> str:
-    """The path of a run's page."""
-    return f"/runs/{quote(name, safe='')}"
-
-
-def whole_page(
-    title: str, trail: Sequence[tuple[str, str]], main: Sequence[Html | None], token: str
-) -> str:
-    """A whole page. trail: names and addresses of the pages above it."""
-    links = [tag("a", text, href=address) for text, address in trail]
-    crumbs = tag("nav", *links, class_="trail", aria_label="Breadcrumb")
-    connection = tag("p", "", id="connection", role="status")
-    head = tag(
-        "head",
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", name="color-scheme", content="light dark"),
-        tag("meta", name="asia-token", content=token),
-        tag("title", f"{title} · ASIA"),
-        Html('<link rel="icon" href="/static/icon.svg">'),
-        Html('<link rel="stylesheet" href="/static/page.css">'),
-        Html('<link rel="stylesheet" href="/static/view.css">'),
-        Html('<script src="/static/view.js" defer></script>'),
-        Html('<script src="/static/zoom.js" defer></script>'),
-    )
-    body = tag(
-        "body",
-        tag("a", "Skip to the content", href="#main", class_="skiplink"),
-        tag("div", crumbs, connection, class_="bar-top"),
-        tag("main", *main, id="main", tabindex="-1"),
-        tag("div", id="live", class_="unseen", aria_live="polite"),
-    )
-    return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
-
-
-def to_pages(html: Html, name: str) -> Html:
-    """Links to experiments lead to their pages."""
-    return Html(re.sub(r'href="#e(\d+)"', rf'href="{run_address(name)}/experiments/\1"', html))
-
+from asia.report.pictures.experiments import Kind, Span, draw_timeline
+from asia.report.pictures.simulation import simulation_panels
 
 # The page of one experiment: its story, its simulations, its code.
 
@@ -97,20 +50,19 @@ def to_pages(html: Html, name: str) -> Html:
 def experiment_page(snapshot: Snapshot, number: int, token: str) -> str:
     """The page of an experiment. Raises UserError where there is none of that number."""
     name, experiment = snapshot.run.name, snapshot.run.view.experiment(number)
-    address = run_address(name)
-    part = tag(
-        "div",
-        experiment_part(snapshot, number),
-        data_refresh=f"{address}/experiments/{number}/part",
-        data_only=number,
+    return fill(
+        "experiment_page.html",
+        token=token,
+        title=f"#{experiment.number:02d} {experiment.proposed.title[:80]}",
+        trail=(("Searches", "/"), (name, run_address(name))),
+        snapshot=snapshot,
+        number=number,
+        part=experiment_part(snapshot, number),
+        user=getpass.getuser(),
     )
-    stream = {"data_stream": f"{address}/events", "data_mark": snapshot.mark}
-    holder = tag("div", part, note_form(name, number), **stream)
-    title = f"#{experiment.number:02d} {experiment.proposed.title[:80]}"
-    return whole_page(title, (("Searches", "/"), (name, address)), (holder,), token)
 
 
-def experiment_part(snapshot: Snapshot, number: int) -> Html:
+def experiment_part(snapshot: Snapshot, number: int) -> Markup:
     """Write the content of the page.
 
     Raises:
@@ -120,37 +72,27 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     detail = Detail(sources=10**9, stories=10**9, rows=10**9)
     subject = replace(snapshot.subject, detail=detail)
     run, store = subject.run, subject.run.store
-    e, address = subject.view.experiment(number), run_address(subject.run.name)
-    status = status_of(subject, e)
-    label = tag("span", status, class_=f"status {status}")
-    title = tag("h1", subject.name(e), " ", said(e.proposed.title, 200))
-    value = join(("V ", tag("b", subject.v(e)))) if e.score else None
-    links: list[Html] = [
-        tag("a", text, href=f"{address}/experiments/{other}", rel=rel)
+    e, link = subject.view.experiment(number), experiments_of(subject.run.name)
+    others = [
+        (other, text, rel)
         for other, text, rel in (
             (e.number - 1, "‹ previous", "prev"),
             (e.number + 1, "next ›", "next"),
         )
         if 1 <= other <= len(subject.view.experiments)
     ]
-    best = subject.view.best
+    best, compare = subject.view.best, ""
     if e.score is not None and best is not None and best.number != e.number:
-        chosen = [("e", f"{run.name}/{number}") for number in (best.number, e.number)]
-        links.append(tag("a", "overlay on the best", href=f"/compare?{urlencode(chosen)}"))
+        compare = urlencode([("e", f"{run.name}/{number}") for number in (best.number, e.number)])
 
-    overlays = held_out_overlays(subject, e)
-    simulations = None
-    if subject.problem is not None and overlays:
+    boxes: list[Markup] = []
+    notes = ""
+    if subject.problem is not None and e.score is not None:
+        panels, notes = simulation_panels(run, subject.problem, e, subject.folds)
         boxes = [
-            zoomable(
-                f"{address}/experiments/{e.number}/overlays/{k}",
-                draw_overlay(subject.problem, one),
-                len(one.measured),
-            )
-            for k, one in enumerate(overlays)
+            zoomable(f"{link}{e.number}/overlays/{k}", draw_panel(subject.problem, one), len(one))
+            for k, one in enumerate(panels)
         ]
-        text = tag("p", "Drag across a picture to see a part of it.")
-        simulations = join((text, overlay_legend(), tag("div", *boxes, class_="grid")))
 
     # As `asia show` prints it.
     lines: list[str] = []
@@ -160,24 +102,32 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
         lines = evidence_lines(found, e.seed_values) if found.recorded else []
         if not lines and e.result.output:
             lines = store.text(e.result.output).splitlines()[-20:]
-    evidence = None
-    if lines:
-        evidence = region("pre", tag("code", "\n".join(lines)), label="evidence")
-
-    story = to_pages(experiment_story(subject, e), run.name)
-    source = python(store.text(e.source), "candidate.py") if store.kept else None
-    parts = (
-        tag("header", title, tag("p", label, " ", value)),
-        tag("nav", *links, class_="neighbours", aria_label="Other experiments"),
-        section("story", "What was tried", story),
-        section("simulations", "Held-out simulations", simulations),
-        section("evidence", "Evidence", evidence),
-        section("source", "candidate.py", source),
+    return fill(
+        "experiment.html",
+        subject=subject,
+        e=e,
+        link=link,
+        status=status_of(subject, e),
+        others=others,
+        compare=compare,
+        story=experiment_story(subject, e, link),
+        boxes=boxes,
+        notes=notes,
+        lines=lines,
+        source=store.text(e.source) if store.kept else None,
     )
-    return join(parts)
 
 
-def zoomable(address: str, drawn: Html, count: int) -> Html:
+_ZOOMS: Final = (
+    ("in", "+", "zoom in"),
+    ("out", "−", "zoom out"),
+    ("left", "◂", "move to earlier samples"),
+    ("right", "▸", "move to later samples"),
+    ("all", "all", "show all samples"),
+)
+
+
+def zoomable(address: str, drawn: Markup, count: int) -> Markup:
     """An overlay with buttons to see a part of it.
 
     Args:
@@ -186,142 +136,50 @@ def zoomable(address: str, drawn: Html, count: int) -> Html:
         count: number of its samples
     """
     name = f"overlay-{digest_of(address)}"
-    buttons = [
-        tag(
-            "button",
-            sign,
-            type="button",
-            data_zoom=what,
-            aria_label=text,
-            title=text,
-            aria_controls=name,
-        )
-        for what, sign, text in (
-            ("in", "+", "zoom in"),
-            ("out", "−", "zoom out"),
-            ("left", "◂", "move to earlier samples"),
-            ("right", "▸", "move to later samples"),
-            ("all", "all", "show all samples"),
-        )
-    ]
-    return tag(
-        "div",
-        tag("div", drawn, class_="drawn", id=name),
-        tag("div", *buttons, class_="tools", role="group", aria_label="Part of the record"),
-        class_="zoomable",
-        data_overlay=address,
-        data_count=count,
-    )
+    return fill("zoomable.html", address=address, drawn=drawn, count=count, name=name, zooms=_ZOOMS)
 
 
-def overlay_part(snapshot: Snapshot, number: int, index: int, first: int, last: int | None) -> Html:
+def overlay_part(
+    snapshot: Snapshot, number: int, index: int, first: int, last: int | None
+) -> Markup:
     """Samples `first` to `last` of an overlay, drawn. Raises UserError where there is none."""
     subject = snapshot.subject
-    overlays = held_out_overlays(subject, subject.view.experiment(number))
-    if subject.problem is None or not 0 <= index < len(overlays):
-        raise UserError(f"experiment {number} has no picture {index}")
-    return draw_overlay(subject.problem, overlays[index].cut(first, last))
+    e, problem = subject.view.experiment(number), subject.problem
+    if problem is not None and e.score is not None:
+        panels, _ = simulation_panels(subject.run, problem, e, subject.folds)
+        if 0 <= index < len(panels):
+            return draw_panel(problem, panels[index].cut(first, last))
+    raise UserError(f"experiment {number} has no picture {index}")
 
 
 # The list of runs.
 
 
-def start_form(problems: Sequence[str], agents: Sequence[str]) -> Html:
-    """Form that starts a search on one of the problems with one of the agents."""
-    fields: list[Html] = []
-    for label, key, words in (("Problem", "problem", problems), ("Agent", "agent", agents)):
-        options = [tag("option", word) for word in words]
-        fields.append(tag("label", label, " ", tag("select", *options, name=key)))
-    for label, key, value, least in (
-        ("Experiments", "experiments", 10, 1),
-        ("Seed", "seed", 0, 0),
-    ):
-        number = tag("input", name=key, type="number", value=value, min=least, required=True)
-        fields.append(tag("label", label, " ", number))
-    name = tag("input", name="name", maxlength=80, placeholder="PROBLEM-AGENT-sSEED")
-    button = tag("button", "Start the search", type="submit")
-    fields.append(tag("label", "Name ", name))
-    form = tag("form", *fields, button, data_post="runs", class_="note")
-    inner = tag("div", form, tag("p", role="status"))
-    return tag("details", tag("summary", "Start a search"), inner, class_="steering", data_at="")
-
-
 def runs_page(
-    folder: Path, listed: Sequence[ListedRun], digest: str, token: str, start: Html | None
+    folder: Path,
+    listed: Sequence[ListedRun],
+    digest: str,
+    token: str,
+    start: tuple[Sequence[str], Sequence[str]] | None,
 ) -> str:
-    """The page with the list of the runs of a folder. start: the form that starts a search."""
-    header = tag("header", tag("p", "ASIA view", class_="kind"), tag("h1", "Searches"))
-    words = tag(
-        "p",
-        "Runs below ",
-        tag("code", folder.name or str(folder)),
-        ". V compares runs of one problem and one protocol only.",
+    """The page with the list of the runs of a folder. start: problems and agents of the form that
+    starts a search; None for no form."""
+    return fill(
+        "runs_page.html",
+        token=token,
+        title="Searches",
+        trail=(),
+        name=folder.name or str(folder),
+        listed=runs_table(listed),
+        digest=digest,
+        start=start,
     )
-    form = tag(
-        "form",
-        tag("div", runs_table(listed), id="list"),
-        tag(
-            "p",
-            tag("button", "Compare the chosen runs", type="submit", disabled=True, id="chosen"),
-        ),
-        action="/compare",
-        method="get",
-        data_stream="/events",
-        data_mark=digest,
-    )
-    return whole_page("Searches", (), (header, words, start, form), token)
 
 
-def runs_table(listed: Sequence[ListedRun]) -> Html:
+def runs_table(listed: Sequence[ListedRun]) -> Markup:
     """A row a run."""
-    if not listed:
-        command = tag("code", "asia run PROBLEM")
-        return tag("p", "There is no run yet. Start one with ", command, ".")
-    head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
-    for text, kind in (
-        ("run", "words"),
-        ("state", "words"),
-        ("V", None),
-        ("experiments", None),
-        ("problem", "words"),
-        ("agent", "words"),
-        ("best candidate", "words"),
-        ("changed", None),
-    ):
-        head.append(tag("th", text, scope="col", class_=kind))
-    body: list[Html] = []
-    for one in listed:
-        choose = tag(
-            "input", type="checkbox", name="run", value=one.name, aria_label=f"choose {one.name}"
-        )
-        link = tag("a", said(one.name), href=run_address(one.name))
-        labels = None if one.brief is None else tag_labels(one.brief.view.tags())
-        cells = [tag("td", choose), tag("th", link, " ", labels, scope="row", class_="words")]
-        if one.brief is None:
-            trouble = said(f"cannot be read: {one.trouble}")
-            cells.append(tag("td", trouble, colspan=7, class_="words"))
-        else:
-            view, best = one.brief.view, one.brief.view.best
-            score = best.score if best is not None else None
-            title = best.proposed.title if best is not None else ""
-            cells += [
-                tag("td", state_mark(one.brief.state), class_="words"),
-                tag("td", error_value(score.value) if score is not None else ""),
-                tag("td", f"{one.brief.finished} of {view.budget}"),
-                tag("td", said(view.started.problem), class_="words"),
-                tag("td", said(view.started.agent), class_="words"),
-                tag("td", said(title, 60), class_="words title"),
-                tag("td", datetime.fromtimestamp(one.changed).strftime("%d %b %H:%M")),
-            ]
-        body.append(tag("tr", *cells))
-    inner = tag("table", tag("thead", tag("tr", *head)), tag("tbody", *body), class_="runs")
-    return region("div", inner, class_="scroll", label="Runs")
-
-
-def state_mark(state: str, *, paused: bool = False) -> Html:
-    """Write the state of a search as a label."""
-    text = f"{state}, to pause" if paused else state
-    return tag("span", text, class_=f"state {state}")
+    changed = [datetime.fromtimestamp(one.changed).strftime("%d %b %H:%M") for one in listed]
+    return fill("runs.html", runs=list(zip(listed, changed, strict=True)))
 
 
 # The list of experiments: short rows, the last one first.
@@ -381,7 +239,7 @@ class Chosen:
             found.sort(key=lambda e: e.proposed.family)
         return found
 
-    def place(self, e: Experiment, subject: Subject) -> Html | None:
+    def place(self, e: Experiment, subject: Subject) -> Markup | None:
         """Show where the first of the words stands, marked, with the text around it."""
         word = next(iter(self.words.split()), "")
         for name, text in _texts(e, subject) if word else ():
@@ -391,8 +249,8 @@ class Chosen:
                 before, after = line[: found.start()], line[found.end() :][:200]
                 if len(before) > 40:
                     before = f"… {before[-40:].partition(' ')[2]}"
-                parts = before, tag("mark", found[0]), after
-                return tag("span", f"{name}: ", tag("span", *parts, class_="said"))
+                shown = Markup("{}: {}<mark>{}</mark>{}")
+                return shown.format(name, before, found[0], after)
         return None
 
 
@@ -416,53 +274,41 @@ def _texts(e: Experiment, subject: Subject) -> list[tuple[str, str]]:
     return found
 
 
-def _kind(e: Experiment) -> str:
+def _kind(e: Experiment) -> Kind:
     return "kept" if e.kept else "failed" if e.failure is not None else "other"
 
 
-def experiment_row(subject: Subject, e: Experiment, chosen: Chosen = Chosen()) -> Html:
+def experiment_row(subject: Subject, e: Experiment, chosen: Chosen = Chosen()) -> Markup:
     """Write one experiment, its title and below it the reason of its status, or where the words
     stand that were searched."""
-    status, labels = status_of(subject, e), tag_labels(subject.view.tags(e.number))
-    reason = chosen.place(e, subject) or said(decision_text(e, subject.view), 300)
-    reason = tag("span", reason, class_="why")
-    link = tag(
-        "a",
-        tag("span", subject.name(e), class_="id"),
-        tag("span", said(e.proposed.title, 120), " ", labels, class_="what"),
-        reason,
-        tag("span", status, class_=f"status {status}"),
-        tag("span", subject.v(e) if e.score else "", class_="value"),
-        href=f"{run_address(subject.run.name)}/experiments/{e.number}",
+    return fill(
+        "row.html",
+        subject=subject,
+        e=e,
+        kind=_kind(e),
+        status=status_of(subject, e),
+        reason=chosen.place(e, subject) or one_line(decision_text(e, subject.view)),
     )
-    return tag("li", link, id=f"e{e.number}", class_=_kind(e))
 
 
 def experiment_rows(
     subject: Subject, chosen: Chosen, after: int | None = None, most: int = FIRST
-) -> Html:
+) -> Markup:
     """At most `most` of the chosen experiments, those after a number in their order, in parts; with
     a button for the others."""
     every = chosen.of(subject)
     place = next((k for k, e in enumerate(every, 1) if e.number == after), 0)
     shown = every[place : place + min(most, MOST)]
-    parts = [shown[k : k + CHUNK] for k in range(0, len(shown), CHUNK)]
-    lists = [
-        tag(
-            "ol",
-            *(experiment_row(subject, e, chosen) for e in part),
-            class_="part",
-            style=f"--rows:{len(part)}",
-        )
-        for part in parts
+    parts = [
+        [experiment_row(subject, e, chosen) for e in shown[k : k + CHUNK]]
+        for k in range(0, len(shown), CHUNK)
     ]
-    if not every and chosen != Chosen():
-        return tag("p", "No experiment fits.", class_="none")
-    more = None
-    if len(every) > place + len(shown):
-        text = f"Show those after #{shown[-1].number}"
-        more = tag("button", text, type="button", class_="more", data_after=shown[-1].number)
-    return join((*lists, more))
+    return fill(
+        "rows.html",
+        parts=parts,
+        is_empty=not every and chosen != Chosen(),
+        more=shown[-1].number if len(every) > place + len(shown) else None,
+    )
 
 
 # The page of one run: what is known now, the curve, the list, and the report's sections.
@@ -470,25 +316,24 @@ def experiment_rows(
 
 # These are written here, so that they can change line by line.
 _OWN: Final = ("progress", "experiments")
-TABS: Final = ("linear", "control", "certificate")
-"""Keys of the sections that have a page of their own, where the run has them."""
+TABS: Final = {
+    "linear": (LINEAR_FILE,),
+    "control": (CONTROL_FILE,),
+    "certificate": (CERTIFICATE_FILE, LOOP_CERTIFICATE_FILE),
+}
+"""Keys of the sections that have a page of their own, with the files that the run has for them."""
 GALLERY: Final = "simulations"
 """Key of the page with the simulations of all experiments."""
 
 
-def tabs(snapshot: Snapshot, here: str = "") -> Html:
+def tabs(snapshot: Snapshot, here: str = "") -> Markup:
     """Links to the pages of a run."""
     found = {"": "Search", GALLERY: "Simulations"}
     for one in SECTIONS:
-        if one.key in TABS and one.write(snapshot.subject) is not None:
+        files = TABS.get(one.key, ())
+        if any((snapshot.run.directory / file).exists() for file in files):
             found[one.key] = one.title
-    address = run_address(snapshot.run.name)
-    links = [
-        tag("a", title, href=f"{address}/{key}".rstrip("/"),
-            aria_current="page" if key == here else None)
-        for key, title in found.items()
-    ]  # fmt: skip
-    return tag("nav", *links, class_="tabs", aria_label="Pages of the run")
+    return fill("tabs.html", tabs=found, here=here, name=snapshot.run.name)
 
 
 def tab_page(snapshot: Snapshot, key: str, token: str) -> str:
@@ -498,192 +343,79 @@ def tab_page(snapshot: Snapshot, key: str, token: str) -> str:
     name = snapshot.run.name
     if found is None or inner is None:
         raise UserError(f"run '{name}' has no page '{key}'")
-    header = tag("header", tag("h1", said(name)))
-    main = header, tabs(snapshot, key), section(key, found.title, inner)
-    return whole_page(f"{name}: {found.title}", (("Searches", "/"),), main, token)
+    return fill(
+        "tab_page.html",
+        token=token,
+        title=f"{name}: {found.title}",
+        trail=(("Searches", "/"),),
+        name=name,
+        tabs=tabs(snapshot, key),
+        found=found,
+        inner=inner,
+    )
 
 
 def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     """The page of a run, with the chosen experiments."""
-    subject = snapshot.subject
-    start, name = subject.view.started, snapshot.run.name
-    labels = tag_labels(subject.view.tags())
-    header = tag("header", tag("h1", said(name)), tag("p", subject.setting, " ", labels))
-    own = [one for key in _OWN for one in SECTIONS if one.key == key]
+    subject, name = snapshot.subject, snapshot.run.name
+    own = [(one.key, one.title) for key in _OWN for one in SECTIONS if one.key == key]
     others = [(one.key, one.title) for one in SECTIONS if one.key not in (*_OWN, *TABS)]
     place = [key for key, _ in others].index("tradeoff") + 1
     others[place:place] = [(key, title) for key, (title, _) in _LIVE.items()]
-    named = [*((one.key, one.title) for one in own), *others]
-    links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in named]
-    curve = tag(
-        "div",
-        progress_part(subject),
-        id="curve",
-        data_curve=f"{run_address(name)}/curve",
-    )
-    listed = region(
-        "div", experiment_rows(subject, chosen), label="Experiments", id="rows", class_="rows"
-    )
-    overlay = tag(
-        "a", "Overlay and compare experiments", href=f"/compare?{urlencode({'run': name})}"
-    )
-    # The page asks for the other sections when it is there.
-    later = [
-        section(
-            key, title, tag("div", class_="later", data_part=f"{run_address(name)}/sections/{key}")
-        )
-        for key, title in others
-    ]
-    main = (
-        header,
-        tabs(snapshot),
-        tag("div", now_panel(snapshot), id="now"),
-        note_form(name),
-        steering_panel(
+    start = subject.view.started
+    return fill(
+        "run_page.html",
+        token=token,
+        title=name,
+        trail=(("Searches", "/"),),
+        snapshot=snapshot,
+        subject=subject,
+        tabs=tabs(snapshot),
+        now=now_panel(snapshot),
+        steering=steering_panel(
             name,
             running=snapshot.run.state == "running",
             deaf="" if reads_notes(start) else start.agent,
         ),
-        tag("nav", tag("ul", *links), aria_label="Sections"),
-        section("progress", "Progress of the search", curve),
-        section("experiments", "Experiments", choice_form(chosen), listed, tag("p", overlay)),
-        *later,
-    )
-    holder = tag(
-        "div",
-        *main,
-        data_stream=f"{run_address(name)}/events",
-        data_mark=snapshot.mark,
-        data_run=run_address(name),
-    )
-    return whole_page(name, (("Searches", "/"),), (holder,), token)
-
-
-def choice_form(chosen: Chosen, *buttons: Html) -> Html:
-    """Form that chooses and sorts experiments."""
-    selects = [
-        tag("label", label, " ", tag("select", *_options(values, now), name=key))
-        for label, key, values, now in (
-            ("Show", "kind", KINDS, chosen.kind),
-            ("in order:", "order", ORDERS, chosen.order),
-        )
-    ]
-    where = "searches titles, rationale, tags, notes, sources and printed output"
-    words = tag("input", name="words", type="search", value=chosen.words, title=where)
-    return tag(
-        "form",
-        *selects,
-        tag("label", "with the words ", words),
-        *buttons,
-        id="choose",
-        class_="choose",
-        role="search",
+        named=(*own, *others),
+        # The page asks for the other sections when it is there.
+        later=others,
+        curve=progress_part(subject),
+        form=choice_form(chosen),
+        rows=experiment_rows(subject, chosen),
+        query=urlencode({"run": name}),
+        user=getpass.getuser(),
     )
 
 
-def _options(values: Mapping[str, str], now: str) -> list[Html]:
-    return [tag("option", text, value=key, selected=key == now) for key, text in values.items()]
+def choice_form(chosen: Chosen, *, with_button: bool = False) -> Markup:
+    """Form that chooses and sorts experiments. with_button: true for a button that shows them."""
+    return fill("choice.html", chosen=chosen, kinds=KINDS, orders=ORDERS, with_button=with_button)
 
 
-def now_panel(snapshot: Snapshot) -> Html:
+def now_panel(snapshot: Snapshot) -> Markup:
     """Write the state of the search in a few figures."""
-    subject, view = snapshot.subject, snapshot.run.view
-    best = view.best
-    done = subject.over("evaluated", "experiment", "count", "count")
-    budget = tag("span", f" of {view.budget}", class_="fixed")
-    doing = None
-    if view.running and snapshot.run.state == "running":
-        each = [join((subject.name(e), " ", said(e.proposed.title, 60))) for e in view.running]
-        curves: list[Html] = []
-        for number, folds in sorted(snapshot.losses.items()):
-            name = f"#{number:02d}, " if len(view.running) > 1 else ""
-            for fold, curve in sorted(folds.items()):
-                step, loss = curve[-1]
-                words = tag("span", f"{name}fold {fold}: loss {loss:.4g} at step {step:g}")
-                curves.append(tag("p", draw_loss(curve), words))
-        doing = join((join(each, ", "), tag("div", *curves, class_="losses") if curves else None))
-    tiles: list[tuple[str, Html | None]] = [
-        ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),
-        ("experiments", join((done, budget))),
-        (f"{view.v_name}, the best", subject.v(best) if best is not None else None),
-        ("evaluation time", subject.over("evaluated", "seconds", "sum", "duration")),
-        ("being evaluated", doing),
+    view = snapshot.run.view
+    curves = [
+        (f"#{number:02d}, " if len(view.running) > 1 else "", fold, json.dumps(curve), curve[-1])
+        for number, folds in sorted(snapshot.losses.items())
+        for fold, curve in sorted(folds.items())
     ]
-    shown = [
-        tag("div", tag("dt", label), tag("dd", value), class_="doing" if value is doing else None)
-        for label, value in tiles
-        if value is not None
-    ]
-    trouble = None
-    if snapshot.trouble:
-        missing = "No simulations, because the records are missing: "
-        trouble = tag("p", missing, said(snapshot.trouble, 600), class_="trouble")
-    first = [*alarms(view), *filter(None, [unguarded(view)])]
-    said_first = [tag("p", said(words, 600), class_="alarm") for words in first]
-    return join((*said_first, tag("dl", *shown, class_="tiles"), trouble))
+    return fill(
+        "now.html",
+        snapshot=snapshot,
+        subject=snapshot.subject,
+        curves=curves,
+        alarms=[*alarms(view), *filter(None, [unguarded(view)])],
+    )
 
 
-def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:
+def steering_panel(name: str, *, running: bool, deaf: str = "") -> Markup:
     """Form for notes and buttons to pause and stop. deaf: the agent, where it reads no notes."""
-    note = tag(
-        "form",
-        tag("label", "Note for the agent", for_="note"),
-        tag(
-            "textarea",
-            id="note",
-            name="text",
-            rows="2",
-            maxlength="4000",
-            required=True,
-            disabled=bool(deaf),
-        ),
-        tag("button", "Send the note", type="submit", disabled=bool(deaf)),
-        tag("p", f"The agent '{deaf}' reads no notes.") if deaf else None,
-        data_post="steer",
-    )
-    buttons = [
-        tag("button", text, type="button", data_post=what, data_running=True, disabled=not running)
-        for what, text in (
-            ("pause", "Pause after this experiment"),
-            ("continue", "Continue"),
-            ("stop", "Stop after this experiment"),
-        )
-    ]
-    answer = tag("p", role="status")
-    summary = tag("summary", "Steer this search")
-    inner = tag("div", note, tag("p", *buttons, class_="buttons"), answer)
-    return tag("details", summary, inner, class_="steering", data_at=run_address(name))
+    return fill("steering.html", name=name, running=running, deaf=deaf)
 
 
-def note_form(name: str, number: int = 0) -> Html:
-    """Form for a note for people, and for tags. number: the experiment; 0 for the run."""
-    fields = (
-        ("text", "Note, or reason of the tags", "", True),
-        ("tags", "Tags to add", "words with a space between them", False),
-        ("removed", "Tags to remove", "", False),
-        ("author", "Author", "", True),
-    )
-    inputs: list[Html] = []
-    for key, label, hint, required in fields:
-        value = getpass.getuser() if key == "author" else None
-        given = {"name": key, "placeholder": hint or None, "value": value, "required": required}
-        inputs.append(tag("label", label, " ", tag("input", maxlength=4000, **given)))
-    form = tag(
-        "form",
-        *inputs,
-        tag("input", type="hidden", name="experiment", value=number),
-        tag("button", "Record the note", type="submit"),
-        data_post="note",
-        class_="note",
-    )
-    what = "this experiment" if number else "this run"
-    answer = tag("p", role="status")
-    inner = tag("div", tag("p", "For people: agents do not see it."), form, answer)
-    summary = tag("summary", f"Note or tag {what}")
-    return tag("details", summary, inner, class_="steering", data_at=run_address(name))
-
-
-def section_part(snapshot: Snapshot, key: str) -> Html | None:
+def section_part(snapshot: Snapshot, key: str) -> Markup | None:
     """Write the content of a section; None if the run has nothing for it, or there is no such
     section.
     """
@@ -691,14 +423,14 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     if key in _LIVE:
         return _LIVE[key][1](snapshot)
     found = next((one for one in SECTIONS if one.key == key and key not in others), None)
-    inner = None if found is None else found.write(snapshot.subject)
-    return None if inner is None else to_pages(inner, snapshot.run.name)
+    link = experiments_of(snapshot.run.name)
+    return None if found is None else found.write(snapshot.subject, link)
 
 
 # Settings that go with a low V.
 
 
-def importance_part(snapshot: Snapshot) -> Html | None:
+def importance_part(snapshot: Snapshot) -> Markup | None:
     """Write the share of the variance of log V that each setting of a family explains; what is
     missing where no family has enough experiments. None without a candidate of the library."""
     run = snapshot.run
@@ -711,38 +443,29 @@ def importance_part(snapshot: Snapshot) -> Html | None:
         return None
     counts = Counter(recipe.family for recipe, _ in tried)
     few = [(name, n) for name, n in counts.most_common() if n < LEAST_EXPERIMENTS]
-    missing = None
-    if few:
-        each = ", ".join(f"{name} {LEAST_EXPERIMENTS - n} more" for name, n in few)
-        missing = tag(
-            "p",
-            f"The analysis needs {LEAST_EXPERIMENTS} experiments of one family with a score. "
-            f"Missing: {each}.",
-        )
-    rows = settings_importance(tried)
-    if not rows:
-        same = None if len(few) == len(counts) else tag("p", "No setting was varied.")
-        return join((same, missing))
-    cells = [
-        [said(f"{one.family} {one.setting}"), *(fixed(text) for text in (
-            f"{one.values}", f"{one.experiments}", f"{100 * one.share:.0f} %",
-            f"{min(one.probability, 1):.2g}"))]
-        for one in rows
-    ]  # fmt: skip
-    text = (
-        "Share of the variance of log V between experiments of one family with different values of "
-        "a setting, corrected for the number of values. p: probability of as large a share by "
-        "chance, corrected for the number of settings. The agent chose the values: settings that "
-        "it changed together share their effect."
+    rows = [
+        [
+            f"{one.family} {one.setting}",
+            f"{one.values}",
+            f"{one.experiments}",
+            f"{100 * one.share:.0f} %",
+            f"{min(one.probability, 1):.2g}",
+        ]
+        for one in settings_importance(tried)
+    ]
+    return fill(
+        "importance.html",
+        rows=rows,
+        least=LEAST_EXPERIMENTS,
+        missing=", ".join(f"{name} {LEAST_EXPERIMENTS - n} more" for name, n in few),
+        is_complete=len(few) < len(counts),
     )
-    head = ["setting", "values", "experiments", "share of the variance", "p"]
-    return join((tag("p", text), table(head, cells, "Settings of the families"), missing))
 
 
 # Times of the evaluations.
 
 
-def timeline_part(snapshot: Snapshot) -> Html | None:
+def timeline_part(snapshot: Snapshot) -> Markup | None:
     """Draw when each experiment was evaluated, those at the same time one above the other; None
     before the first one."""
     subject, lines = snapshot.subject, snapshot.run.lines
@@ -753,26 +476,19 @@ def timeline_part(snapshot: Snapshot) -> Html | None:
             times.setdefault(line.event.experiment, []).append(at)
     now = max([time for pair in times.values() for time in pair], default=0.0)
     spans = [
-        Span(e.number, e.proposed.title, _kind(e) if e.result else "running", *_ends(found, now))
+        Span(e.number, _kind(e) if e.result else "running", *_ends(found, now))
         for e in subject.view.experiments
         if (found := times.get(e.number))
     ]
     if not spans:
         return None
     alt = "Time of the evaluation of each experiment, from its proposal to its result."
-    drawings = both_sizes(partial(draw_timeline, spans, alt))
+    drawn = picture(partial(draw_timeline, spans), alt)
     start, end = (
         datetime.fromtimestamp(at, UTC).strftime("%Y-%m-%d %H:%M:%S")
         for at in (min(one.begin for one in spans), max(one.end for one in spans))
     )
-    where = tag("p", "From ", fixed(start), " to ", fixed(end), " UTC.")
-    text = (
-        "Each bar reaches from the proposal of an experiment to its result. Evaluations at the "
-        "same time have rows of their own. Gaps are the agent and the decisions of the search. "
-        "Longer pauses, such as those before a search was resumed, are cut out."
-    )
-    keys = [("kept bar", "new best"), ("other bar", "no new best"), ("failed bar", "no score")]
-    return join((tag("p", text), where, tag("figure", drawings, legend(keys))))
+    return fill("timeline.html", start=start, end=end, drawn=drawn)
 
 
 def _ends(times: Sequence[float], now: float) -> tuple[float, float]:
@@ -786,10 +502,11 @@ _LIVE: Final = {
 """Titles and writers of the sections that the report does not have, by their keys."""
 
 
-def progress_part(subject: Subject) -> Html:
+def progress_part(subject: Subject) -> Markup:
     """V of every experiment."""
-    finished = subject.view.finished
-    return progress_figure(subject, finished) if finished else tag("p", "There is no result yet.")
+    if subject.view.finished:
+        return progress_figure(subject)
+    return Markup("<p>There is no result yet.</p>")
 
 
 # Messages to an open page when its run has changed.

@@ -1,4 +1,4 @@
-"""Time axes, and free places for text, for SVG and matplotlib."""
+"""Time axes, and free places for text."""
 
 from __future__ import annotations
 

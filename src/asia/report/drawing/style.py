@@ -4,13 +4,18 @@ import textwrap
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
+from threading import RLock
 from typing import Any, Final
 
+import numpy as np
 from matplotlib import rcParams, style
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import Bbox, offset_copy
 
 from asia.data.trajectory import Array, Signal
@@ -20,11 +25,16 @@ from asia.problem.metrics import find_metric
 INK: Final = "#222222"
 QUIET: Final = "#6b6b6b"
 FAINT: Final = "#a8a8a8"
-BLUE: Final = "#0072B2"
-ORANGE: Final = "#E69F00"
-GREEN: Final = "#009E73"
-RED: Final = "#D1330A"
+BLUE: Final = "#0072b2"
+ORANGE: Final = "#e69f00"
+GREEN: Final = "#009e73"
+RED: Final = "#d1330a"
 SHADE: Final = "#e9e9e9"
+GRID: Final = "#e3e3e3"
+SERIES: Final = (BLUE, ORANGE, GREEN, RED, INK)
+"""Colours of the lines of one panel."""
+DASHES: Final = ("-", "--", ":")
+"""Dashes of further lines with the same colours."""
 
 _WIDTH: Final = 7.2
 DPI: Final = 150
@@ -47,7 +57,7 @@ _STYLE: Final[dict[str, Any]] = {
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.formatter.limits": (-4, 5),
-    "grid.color": "#e3e3e3",
+    "grid.color": GRID,
     "grid.linewidth": 0.6,
     "xtick.color": QUIET,
     "ytick.color": QUIET,
@@ -63,7 +73,14 @@ _STYLE: Final[dict[str, Any]] = {
     "figure.titlesize": 10.0,
     "savefig.dpi": DPI,
     "pdf.fonttype": 42,
+    # The ids of an SVG come from a fixed salt.
+    "svg.hashsalt": "asia",
+    "svg.fonttype": "none",
 }
+
+
+# Matplotlib has one set of settings for all threads.
+_SETTINGS = RLock()
 
 
 @contextmanager
@@ -72,7 +89,10 @@ def drawing(width: float = _WIDTH) -> Generator[None]:
     inches, of a picture with one column of panels; of less than 5 the texts are smaller."""
     small = {key: value - 1.5 for key, value in _STYLE.items() if key.endswith("size")}
     narrow = small if width < _NARROW else {}
-    with style.context(["default", {**_STYLE, **narrow, "figure.figsize": (width, width)}]):
+    with (
+        _SETTINGS,
+        style.context(["default", {**_STYLE, **narrow, "figure.figsize": (width, width)}]),
+    ):
         yield
 
 
@@ -180,9 +200,52 @@ def v_axis_label(metric: str) -> str:
     return f"Cross-validated {plain(found.v_label, 40)}, V [{plain(found.v_unit, 12)}]"
 
 
+def plot_line(axes: Axes, time: Array, values: Array, columns: int, **settings: Any) -> None:
+    """Plot a line with a gap at each NaN and a dot for a value between two gaps; of a long one the
+    least and the greatest value of each of so many columns."""
+    known = np.concatenate([[False], ~np.isnan(values), [False]])
+    single = known[1:-1] & ~known[:-2] & ~known[2:]
+    if single.any():
+        color = settings["color"]
+        axes.plot(time[single], values[single], ".", ms=2.5, mec=color, mfc=color)
+    axes.plot(*thinned(time, values, columns), **settings)
+
+
+def fill_band(axes: Axes, time: Array, edges: tuple[Array, Array], columns: int,
+              **settings: Any) -> None:  # fmt: skip
+    """Fill the area between two edges, thinned as `plot_line` does."""
+    there, back = (thinned(time, edge, columns) for edge in edges)
+    around = (np.concatenate([a, b[::-1]]) for a, b in zip(there, back, strict=True))
+    axes.fill(*around, **settings)
+
+
+def thinned(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
+    """Return times and values: all of a short line; of a long one the least and the greatest of
+    each column."""
+    if len(values) <= 2 * columns:
+        return time, values
+    ends = np.linspace(0, len(values), columns + 1).astype(int).tolist()
+    chosen: list[int] = []
+    for first, last in pairwise(ends):
+        part = values[first:last]
+        if np.isnan(part).all():
+            chosen.append(first)
+        else:
+            chosen += sorted({first + int(np.nanargmin(part)), first + int(np.nanargmax(part))})
+    return time[chosen], values[chosen]
+
+
 def quiet_grid(axes: Axes) -> None:
     """Faint horizontal lines behind the data."""
     axes.grid(visible=True, axis="y")
+
+
+def label_decades(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis, also inside a short range."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 # Columns of panels, each a plot above a strip, with axes in line and room for every text.
@@ -217,8 +280,9 @@ def arrange(
     """Give `figure` its height and all axes their places; width in inches. Cells fill rows from
     the left; the left margin of each column is what its labels need. `title` goes above all."""
     rows = [cells[i : i + columns] for i in range(0, len(cells), columns)]
-    heads = [_ABOVE_TITLE + _TITLE_LINE * max(c.title_lines for c in row) for row in rows]
-    above = _ABOVE + _HEAD_LINE * (title.count("\n") + 1)
+    lines = [max(c.title_lines for c in row) for row in rows]
+    heads = [_ABOVE_TITLE + _TITLE_LINE * count if count else 0.0 for count in lines]
+    above = _ABOVE + (_HEAD_LINE * (title.count("\n") + 1) if title else 0.0)
     height = above + _FOOT + sum(heads) + len(rows) * (_PLOT + _BETWEEN + _STRIP + _TICKS)
     figure.set_size_inches(width, height)
     share = width / columns

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import difflib
 
+from markupsafe import Markup
 from pygments.lexers.python import PythonLexer
 from pygments.token import Comment, Keyword, Number, Operator, String
 
 from asia._text import printable
-from asia.report.page.html import Html, join, region, tag
 
 _LONGEST = 40_000
 _CLASSES = (
@@ -18,26 +18,28 @@ _CLASSES = (
     (Keyword, "k"),
     (Operator.Word, "k"),
 )
+_BLOCK = Markup('<pre tabindex="0" role="region" aria-label="{}"><code>{}</code></pre>')
 
 
-def python(source: str, label: str) -> Html:
+def python(source: str, label: str) -> Markup:
     """Format Python source with marked keywords, strings and comments."""
     clean = printable(source)
     if len(clean) > _LONGEST:
         clean = f"{clean[:_LONGEST]}\n… cut here; asia show --source prints all of it"
-    parts: list[str] = []
+    span, parts = Markup('<span class="{}">{}</span>'), list[str]()
     for token, text in PythonLexer(stripnl=False, ensurenl=False).get_tokens(clean):
         name = next((name for kind, name in _CLASSES if token in kind), None)
-        parts.append(text if name is None else tag("span", text, class_=name))
-    return region("pre", tag("code", join(parts)), label=label)
+        parts.append(text if name is None else span.format(name, text))
+    return _BLOCK.format(label, Markup("").join(parts))
 
 
-def change(old: str, new: str, names: tuple[str, str], label: str) -> Html | None:
+def change(old: str, new: str, names: tuple[str, str], label: str) -> Markup | None:
     """The lines that differ; None where none does, or too many do."""
     before, after = printable(old).splitlines(), printable(new).splitlines()
     lines = list(difflib.unified_diff(before, after, *names, lineterm="", n=2))[2:]
     if not lines:
         return None
     kinds = {"+": "ins", "-": "del"}
-    text = join((tag(kinds.get(line[:1], "span"), line) for line in lines), "\n")
-    return None if len(text) > _LONGEST else region("pre", tag("code", text), label=label)
+    each = ((Markup(kinds.get(line[:1], "span")), line) for line in lines)
+    text = Markup("\n").join(Markup("<{0}>{1}</{0}>").format(kind, line) for kind, line in each)
+    return None if len(text) > _LONGEST else _BLOCK.format(label, text)

@@ -1,137 +1,22 @@
-"""Page of a run, checked against its ledger before it is written."""
+"""Page of a run."""
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Sequence
-from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
+
+from markupsafe import Markup
 
 from asia._diagnostic import diagnostic
-from asia._files import PACKAGE
-from asia.errors import InternalError, UserError
-from asia.ledger.artifacts import Store
+from asia._text import one_line
+from asia.errors import InternalError
 from asia.ledger.chain import write_whole
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_lock
-from asia.report.page.html import FORMS, ONE, RULES, Html, follow, said, section, tag
+from asia.report.page.render import page_style, render
 from asia.report.page.sections import SECTIONS
 from asia.report.page.subject import Detail, Section, Subject
-
-# The audit shares nothing with the sections: it reads the finished page and the bytes of the
-# ledger.
-
-
-_FREE = frozenset({"code", "pre", "svg", "math", "style", "title", "kbd"})
-_FREE_CLASSES = frozenset({"said", "fixed", "scale"})
-_VOID = frozenset({"meta", "br", "hr", "img", "input", "link", "wbr"})
-
-
-def audit(page: str, directory: Path, events: int) -> int:
-    """Check every number of a page against the ledger.
-
-    Args:
-        page: the HTML page.
-        directory: run directory.
-        events: number of events of the ledger that the page covers.
-
-    Returns:
-        The number of checked numbers.
-
-    Raises:
-        InternalError: a number differs from the ledger or names no source; the message names the
-            first one.
-    """
-    lines = (directory / "ledger.jsonl").read_bytes().split(b"\n")
-    reader = _Reader([json.loads(line) for line in lines[:events]], directory / "artifacts")
-    reader.feed(page)
-    reader.close()
-    return reader.checked
-
-
-class _Reader(HTMLParser):
-    """Parser of the page. A text with a digit must be in a checked element, or in one that is
-    quoted, code, or drawn.
-    """
-
-    def __init__(self, events: list[dict[str, Any]], artifacts: Path) -> None:
-        super().__init__(convert_charrefs=True)
-        self.checked = 0
-        self._events = events
-        self._named = "\n".join(map(str, events))
-        self._artifacts = artifacts
-        self._open: list[tuple[str, bool]] = []
-        self._number: dict[str, str] | None = None
-        self._shown = ""
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = {key: value or "" for key, value in attrs}
-        if tag in _VOID:
-            return
-        free = tag in _FREE or bool(_FREE_CLASSES & set(found.get("class", "").split()))
-        self._open.append((tag, free or self._free))
-        if "data-from" in found:
-            self._number, self._shown = found, ""
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        if "data-from" in found:
-            raise InternalError(f"report: <{tag}> names {found['data-from']} and shows no number")
-
-    def handle_data(self, data: str) -> None:
-        if self._number is not None:
-            self._shown += data
-        elif re.search(r"\d", data) and not self._free:
-            line = " ".join(data.split())[:80]
-            raise InternalError(f"report: a number without a source in '{line}'")
-
-    def handle_endtag(self, tag: str) -> None:
-        if not self._open or self._open[-1][0] != tag:
-            raise InternalError(f"report: </{tag}> closes nothing")
-        self._open.pop()
-        if self._number is not None:
-            self._check(self._number, self._shown)
-            self._number = None
-
-    @property
-    def _free(self) -> bool:
-        return bool(self._open) and self._open[-1][1]
-
-    def _check(self, number: dict[str, str], shown: str) -> None:
-        sources, rule = number["data-from"], number.get("data-rule", ONE)
-        try:
-            result = RULES[rule](self._values(sources))
-            expected = FORMS[number["data-as"]](result)
-        except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, UserError) as error:
-            raise InternalError(
-                f"report: the number {shown} names {sources}, where none is: {error!r}"
-            ) from error
-        if shown != expected or number.get("value") != str(result):
-            raise InternalError(
-                f"report: the page says {shown} where the ledger, {sources} ({rule}), says "
-                f"{expected}"
-            )
-        self.checked += 1
-
-    def _values(self, sources: str) -> list[Any]:
-        """Return the values of all sources, in order."""
-        found: list[Any] = []
-        for one in sources.split(" "):
-            name, _, path = one.partition(":")
-            if name.isdecimal():
-                documents: list[Any] = [self._events[int(name)]]
-            elif re.fullmatch(r"[0-9a-f]{64}", name):
-                if name not in self._named:
-                    raise KeyError(f"no event names the artifact {name}")
-                documents = [json.loads(Store(self._artifacts).get(name))]
-            else:
-                documents = [event for event in self._events if event["event"] == name]
-            for document in documents:
-                found += follow(document, path)
-        return found
-
 
 # Report page of a run, assembled from its sections.
 
@@ -146,8 +31,6 @@ DETAILS: Final = (
     Detail(sources=30, stories=100, rows=600),
     Detail(sources=0, stories=20, rows=150),
 )
-# Nothing is loaded from anywhere, and nothing runs.
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'"
 
 
 def write_page(directory: Path) -> Path:
@@ -155,8 +38,7 @@ def write_page(directory: Path) -> Path:
     opens offline; the same ledger gives the same bytes.
 
     Raises UserError when `directory` is not a run, or its records, artifacts or training data are
-    not what they were, and InternalError, before anything is written, where a number of the page is
-    not what the ledger says.
+    not what they were.
     """
     page = page_of(open_run(directory))
     path = directory / "report" / "report.html"
@@ -166,60 +48,24 @@ def write_page(directory: Path) -> Path:
 
 
 def page_of(run: Run, sections: Sequence[Section] = SECTIONS) -> str:
-    """The page, checked against the ledger. Raises as `write_page`."""
+    """The page. Raises as `write_page`."""
     problem = load_lock(run.directory / "problem.lock.toml") if run.store.kept else None
     for detail in DETAILS:
         page = _whole(Subject(run, problem, detail), sections)
         if len(page.encode("utf-8", "replace")) <= LIMIT:
-            audit(page, run.directory, len(run.lines))
             return page
     raise InternalError(f"report: the page has more than {LIMIT} bytes with least detail")
 
 
 def _whole(subject: Subject, sections: Sequence[Section]) -> str:
-    start = subject.view.started
-    links: list[Html] = []
-    parts: list[Html | None] = []
+    parts: list[tuple[str, str, Markup]] = []
     for one in sections:
         failed: list[str] = []
-        inner: Html | None = None
+        inner: Markup | None = None
         with diagnostic(f"section '{one.title}'", failed):
             inner = one.write(subject)
         if failed:
-            inner = tag("p", said(failed[0], 600))
+            inner = Markup("<p>{}</p>").format(one_line(failed[0], 600))
         if inner is not None:
-            links.append(tag("li", tag("a", one.title, href=f"#{one.key}")))
-            parts.append(section(one.key, one.title, inner))
-    note = (
-        "Every number on this page comes from an event of the ledger, and was checked against it "
-        "when the page was written. Hold the pointer over a number to see its event."
-    )
-    kind = tag("p", "ASIA, report of a search", class_="kind")
-    version = said(start.environment.get("asia-sysid", ""))
-    body = (
-        tag("a", "Skip to the verdict", href="#verdict", class_="skiplink"),
-        tag("header", kind, tag("h1", said(start.run)), tag("p", subject.setting)),
-        tag("nav", tag("ul", *links), aria_label="Sections"),
-        tag("main", *parts),
-        tag("footer", tag("p", note), tag("p", "ASIA ", version)),
-    )
-    return document(f"{start.run}: report of a search", body)
-
-
-def page_style() -> str:
-    """The style sheet of the page."""
-    return (PACKAGE / "report" / "page" / "page.css").read_text("utf-8")
-
-
-def document(title: str, parts: Sequence[Html]) -> str:
-    """A whole HTML file with the style in it."""
-    head = tag(
-        "head",
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
-        tag("meta", name="color-scheme", content="light dark"),
-        tag("title", title),
-        tag("style", Html(page_style())),
-    )
-    return f"<!doctype html>\n{tag('html', head, tag('body', *parts), lang='en')}\n"
+            parts.append((one.key, one.title, inner))
+    return render("report.html", subject=subject, parts=parts, style=page_style())

@@ -1,4 +1,4 @@
-"""Content of a page: one run with numbers that know their source."""
+"""Content of a page: one run, and the sections that show it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from markupsafe import Markup
+
 from asia._files import read_file
-from asia.errors import InternalError, UserError
+from asia.errors import UserError
 from asia.judge.scoring.outcome import Score
-from asia.ledger.events import Evaluated, Event
+from asia.ledger.events import Evaluated, Noted
 from asia.ledger.run import Run
-from asia.ledger.text import error_decimals
+from asia.ledger.text import error_decimals, error_value
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.report.page.html import ONE, Html, follow, join, said, tag, write_number
+from asia.report.page.render import render
 
 _NORM = "H-infinity norm"
 
@@ -50,8 +52,26 @@ class Subject:
         return self.run.view
 
     @cached_property
-    def _places(self) -> dict[int, int]:
-        return {id(line.event): line.seq for line in self.run.lines}
+    def evaluations(self) -> tuple[Evaluated, ...]:
+        """All results in their order."""
+        events = (line.event for line in self.run.lines)
+        return tuple(event for event in events if isinstance(event, Evaluated))
+
+    @cached_property
+    def noted(self) -> tuple[tuple[Noted, str], ...]:
+        """Notes of users, each with its time."""
+        lines = self.run.lines
+        return tuple((one.event, one.time) for one in lines if isinstance(one.event, Noted))
+
+    @property
+    def seconds(self) -> float:
+        """Time of all evaluations in seconds."""
+        return math.fsum(one.seconds for one in self.evaluations)
+
+    @property
+    def is_control(self) -> bool:
+        """True if the candidates are controllers."""
+        return self.problem is not None and self.problem.control is not None
 
     @cached_property
     def folds(self) -> Sequence[Fold]:
@@ -116,77 +136,28 @@ class Subject:
                 found[command][number] = max(values)
         return found
 
-    def place(self, event: Event) -> int:
-        """Sequence number of an event of the run."""
-        try:
-            return self._places[id(event)]
-        except KeyError:
-            raise InternalError(f"report: this '{event.event}' is not in the ledger") from None
-
-    def number(self, event: Event, path: str, form: str) -> Html:
-        """A number as an event has it, such as `outcome.value`."""
-        return self.made(ONE, form, (event, path))
-
-    def interval(self, event: Event, path: str, form: str) -> Html:
-        """A value with the ends of its interval: 0.3 (0.1 to 0.5)."""
-        value, low, high = (
-            self.number(event, f"{path}.{end}", form) for end in ("value", "low", "high")
-        )
-        return join((value, " (", low, " to ", high, ")"))
-
-    def made(self, rule: str, form: str, *parts: tuple[Event, str]) -> Html:
-        """A number made of several, by one of `html.RULES`."""
-        values: list[Any] = []
-        names: list[str] = []
-        for event, path in parts:
-            try:
-                values += follow(event, path)
-            except (KeyError, IndexError, AttributeError, ValueError) as error:
-                raise InternalError(f"report: '{event.event}' has no {path}: {error!r}") from error
-            names.append(f"{self.place(event)}:{path}")
-        return write_number(values, " ".join(names), rule, form)
-
-    def over(self, kind: str, path: str, rule: str, form: str) -> Html:
-        """A number made of all events of a kind, such as the sum of `seconds` of `evaluated`."""
-        events = (line.event for line in self.run.lines if line.event.event == kind)
-        values = [value for event in events for value in follow(event, path)]
-        return write_number(values, f"{kind}:{path}", rule, form)
-
-    @property
-    def setting(self) -> Html:
-        """`problem tanks · agent expert · seed 0 · isolation namespace`."""
-        start = self.view.started
-        return join((
-            "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
-            self.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
-        ))  # fmt: skip
-
     @cached_property
-    def _v_form(self) -> str:
-        return v_form(self.view.finished)
+    def _decimals(self) -> int:
+        return decimals_of(self.view.finished)
 
-    def v(self, experiment: Experiment, form: str = "") -> Html:
-        """V of an experiment that has a score, with as many decimals as its search needs. form: of
-        a comparison with other searches."""
-        return self.number(result_of(experiment), "outcome.value", form or self._v_form)
+    def v(self, experiment: Experiment, decimals: int = 0) -> str:
+        """Format V of an experiment that has a score, with as many decimals as its search needs.
+        decimals: of a comparison with other searches."""
+        assert experiment.score is not None
+        return error_value(experiment.score.value, decimals or self._decimals)
 
-    def name(self, experiment: Experiment) -> Html:
-        """`#07`."""
-        return self.number(experiment.proposed, "experiment", "number")
-
-    def reference(self, name: str) -> tuple[Event, float] | None:
-        """Return a reference model's event with its V; None without a score."""
+    def reference(self, name: str) -> float | None:
+        """Return the V of a reference model; None without a score."""
         for reference in self.view.references:
             if reference.name == name and isinstance(reference.outcome, Score):
-                return reference, reference.outcome.value
+                return reference.outcome.value
         return None
 
 
-def v_form(experiments: Iterable[Experiment]) -> str:
-    """Form of `html.FORMS` in which the V of these experiments read differently."""
+def decimals_of(experiments: Iterable[Experiment]) -> int:
+    """Number of decimals with which the V of these experiments read differently."""
     scored = [(e.score.value, result_of(e).threshold) for e in experiments if e.score is not None]
-    decimals = error_decimals(*zip(*scored, strict=True)) if scored else 4
-    return "error" if decimals == 4 else f"error{decimals}"
+    return error_decimals(*zip(*scored, strict=True)) if scored else 4
 
 
 def result_of(experiment: Experiment) -> Evaluated:
@@ -197,21 +168,20 @@ def result_of(experiment: Experiment) -> Evaluated:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: one module below `sections`, and one line in its `__init__`."""
+    """A part of the page: a function in `sections`, a line in its `__init__`, and a template with
+    the name of its key."""
 
     key: str
     """Its anchor."""
     title: str
     """Its heading."""
-    write: Callable[[Subject], Html | None]
-    """Function that writes the section below its title; None if the run has nothing for it. Numbers
-    come from `Subject.number` and similar methods, foreign texts go through `html.said`; the audit
-    refuses a page with any other digit.
-    """
+    content: Callable[[Subject], dict[str, Any] | None]
+    """Function that returns what the template shows beside the subject; None if the run has nothing
+    for it."""
 
-
-def used_no_test(after_unsealing: bool) -> Html | None:
-    """Return the note on evidence that was computed after the test was opened."""
-    if not after_unsealing:
-        return None
-    return tag("p", "This was computed after the sealed test had been opened, without using it.")
+    def write(self, subject: Subject, link: str = "#e") -> Markup | None:
+        """Fill its template. link: address of an experiment without its number."""
+        found = self.content(subject)
+        if found is None:
+            return None
+        return render(f"sections/{self.key}.html", subject=subject, link=link, **found)

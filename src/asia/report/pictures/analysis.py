@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Signal
@@ -29,6 +27,7 @@ from asia.report.drawing.style import (
     axis_label,
     entitle,
     figure_legend,
+    label_decades,
     picture_width,
     plain,
     quiet_grid,
@@ -90,10 +89,7 @@ def draw_linear(
                 step.fill_between(t, *ways, step="post", **shade)
         for plane in planes:
             for one, alpha in ((model, 1.0), *((fold, 0.3) for fold in folds)):
-                plane.plot(one.poles.real, one.poles.imag, "x", color=colour, alpha=alpha)
-                plane.plot(
-                    one.zeros.real, one.zeros.imag, "o", color=colour, alpha=alpha, fillstyle="none"
-                )
+                _plot_poles(plane, one.poles, one.zeros, color=colour, alpha=alpha)
     for row, (i, j) in enumerate(pairs):
         gain, phase, step = panels[row]
         out, into = outputs[i], inputs[j]
@@ -107,14 +103,11 @@ def draw_linear(
         for axis in panels[row]:
             quiet_grid(axis)
             _limit_to_lines(axis)
-        _label_decades(gain.yaxis)
+        label_decades(gain.yaxis)
         for axis in (gain, phase):
-            _label_decades(axis.xaxis)
-    turn = np.linspace(0, 2 * np.pi, 800)
+            label_decades(axis.xaxis)
     for plane in planes:
-        plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)
-        plane.set_title("poles (x) and zeros (o)")
-        quiet_grid(plane)
+        _draw_unit_circle(plane)
     planes[0].set_aspect("equal", adjustable="datalim")
     lines = panels[0][0].get_lines()
     if alone:
@@ -133,6 +126,35 @@ def draw_linear(
     return figure
 
 
+def draw_poles(
+    models: Sequence[tuple[str, NDArray[np.complex128], NDArray[np.complex128]]],
+) -> Figure:
+    """Draw poles and zeros of models in the z-plane. models: name, poles and zeros of each."""
+    figure = Figure(figsize=(picture_width(), picture_width()), layout="constrained")
+    plane = figure.subplots()
+    for k, (name, poles, zeros) in enumerate(models):
+        _plot_poles(plane, poles, zeros, color=_COLOURS[k % len(_COLOURS)], label=plain(name))
+    _draw_unit_circle(plane)
+    plane.set_aspect("equal", adjustable="datalim")
+    figure_legend(figure, plane.get_legend_handles_labels()[0], 3)
+    return figure
+
+
+def _plot_poles(
+    plane: Axes, poles: NDArray[np.complex128], zeros: NDArray[np.complex128], **settings: Any
+) -> None:
+    plane.plot(poles.real, poles.imag, "x", gid="poles", **settings)
+    settings["label"] = None
+    plane.plot(zeros.real, zeros.imag, "o", fillstyle="none", gid="zeros", **settings)
+
+
+def _draw_unit_circle(plane: Axes) -> None:
+    turn = np.linspace(0, 2 * np.pi, 800)
+    plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)
+    plane.set_title("poles (x) and zeros (o)")
+    quiet_grid(plane)
+
+
 def _limit_to_lines(axis: Axes) -> None:
     """Show the lines whole, and of bands at most half as much again on each side."""
     y = np.concatenate([np.asarray(line.get_ydata(), np.float64) for line in axis.get_lines()])
@@ -147,14 +169,6 @@ def _limit_to_lines(axis: Axes) -> None:
     ends = np.exp(ends) if logarithmic else ends
     low, high = axis.get_ylim()
     axis.set_ylim(max(low, float(ends[0])), min(high, float(ends[1])))
-
-
-def _label_decades(axis: Axis) -> None:
-    """Plain numbers on a logarithmic axis, also inside a short range."""
-    low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
 
 
 def draw_frequency_response(
@@ -209,10 +223,10 @@ def draw_frequency_response(
         rest.set_title("residual")
         for axis in axes[row]:
             axis.set_xlabel("frequency [Hz]")
-            _label_decades(axis.xaxis)
+            label_decades(axis.xaxis)
             quiet_grid(axis)
         for axis in (gain, rest):
-            _label_decades(axis.yaxis)
+            label_decades(axis.yaxis)
     lines = [*axes[0][0].get_lines()[:3], *axes[0][2].get_lines()]
     figure_legend(figure, lines, 3)
     return figure

@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from asia.data.trajectory import Array, Signal
-from asia.judge.scoring.checks.check import Check, Verdict
+from asia.judge.scoring.checks.check import Check, CheckCurve, Verdict
 from asia.judge.scoring.outcome import without_gaps
 from asia.judge.scoring.residuals import Correlation, with_input, with_own_past
 from asia.ledger.events import Ablated
+from asia.ledger.evidence import DrawnCheck
 from asia.ledger.run import Run
 from asia.ledger.simulated import (
     SimulatedCase,
@@ -92,6 +93,19 @@ _VERDICTS = {
     Verdict.SHOWN: QUIET,
     Verdict.ABSENT: QUIET,
 }
+
+
+def draw_check(check: DrawnCheck) -> Figure:
+    """Draw one check alone."""
+    curves = [CheckCurve(c.name, np.array(c.x), np.array(c.y), c.band) for c in check.curves]
+    figure = Figure(figsize=(picture_width(), _ROW), layout="constrained")
+    axes = figure.subplots()
+    height = _draw_curves(axes, check.name, check.axes, curves, picture_width() - 0.6)
+    figure.set_figheight(_ROW + height)
+    axes.set_title(plain(check.name))
+    return figure
+
+
 # Curves of so few points are marked at each.
 _FEW_POINTS = 12
 _MOST_LETTERS = 40
@@ -113,10 +127,21 @@ def draw_validation(checks: Sequence[Check], title: str) -> Figure:
 
 
 def _draw_check(axes: Axes, check: Check) -> float:
-    """Draw one check; return the height of its legend in inches."""
-    curves = check.curves[: len(_COLOURS)]
+    """Draw one check with its verdict; return the height of its legend in inches."""
+    height = _draw_curves(axes, check.name, check.axes, check.curves, _LEGEND_WIDTH)
+    axes.set_title(f"{check.name}: {check.verdict}", color=_VERDICTS[check.verdict])
+    return height
+
+
+def _draw_curves(
+    axes: Axes, check: str, labels: tuple[str, str], curves: Sequence[CheckCurve], width: float
+) -> float:
+    """Draw the curves of a check, of many the first ones; return the height of their legend, which
+    is as wide as `width`, in inches."""
+    banded = any(curve.band is not None for curve in curves)
+    curves = curves[: len(_COLOURS)]
     # The text before the first comma is the title of the legend if all names share it.
-    common = curves[0].name.partition(", ")[0] + ", "
+    common = curves[0].name.partition(", ")[0] + ", " if curves else ""
     if len(curves) == 1 or not all(curve.name.startswith(common) for curve in curves):
         common = ""
     for colour, curve in zip(_COLOURS, curves, strict=False):
@@ -124,26 +149,30 @@ def _draw_check(axes: Axes, check: Check) -> float:
             axes.axhspan(-curve.band, curve.band, color=SHADE, lw=0, zorder=0)
         name = plain(curve.name[len(common) :], _MOST_LETTERS)
         mark = "o" if len(curve.x) <= _FEW_POINTS else ""
-        axes.plot(curve.x, curve.y, color=colour, lw=1.0, marker=mark, ms=3.0, label=name)
-    if check.name in LOGARITHMIC_CHECKS and any((curve.y > 0).any() for curve in curves):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        for axis in (axes.xaxis, axes.yaxis):
+        axes.plot(curve.x, curve.y, color=colour, lw=1.0, marker=mark, ms=3.0, label=name,
+                  gid="curve")  # fmt: skip
+    log_y = check in LOGARITHMIC_CHECKS and any((curve.y > 0).any() for curve in curves)
+    log_x = log_y or (check == "phase" and any((curve.x > 0).any() for curve in curves))
+    for is_log, scale, axis in (
+        (log_x, axes.set_xscale, axes.xaxis),
+        (log_y, axes.set_yscale, axes.yaxis),
+    ):
+        if is_log:
+            scale("log")
             axis.set_major_locator(LogLocator(numticks=6))
             axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
             axis.set_minor_locator(NullLocator())
-    elif any(curve.band is not None for curve in check.curves):
+    if banded and not log_y:
         axes.axhline(0.0, color=INK, lw=0.7)
-    elif all(len(curve.x) <= _FEW_POINTS for curve in curves):
+    elif not log_x and all(len(curve.x) <= _FEW_POINTS for curve in curves):
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axes.set_title(f"{check.name}: {check.verdict}", color=_VERDICTS[check.verdict])
-    axes.set_xlabel(check.axes[0])
-    axes.set_ylabel(fill(check.axes[1], 28))
+    axes.set_xlabel(plain(labels[0]))
+    axes.set_ylabel(fill(plain(labels[1], 80), 28))
     quiet_grid(axes)
-    if len(curves) == 1:
+    if len(curves) <= 1:
         return 0.0
     title = plain(common.rstrip(" ,"), _MOST_LETTERS)
-    return panel_legend(axes, _LEGEND_WIDTH, fontsize=6.5, title=title or None, title_fontsize=6.5)
+    return panel_legend(axes, width, fontsize=6.5, title=title or None, title_fontsize=6.5)
 
 
 # Residual analysis of the best experiment on its held-out folds.

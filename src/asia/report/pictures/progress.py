@@ -21,6 +21,7 @@ from asia.report.comparison import ArmCurves, ArmsPicture
 from asia.report.drawing.places import Box, Tag, place
 from asia.report.drawing.style import (
     BLUE,
+    DASHES,
     FAINT,
     GREEN,
     INK,
@@ -114,23 +115,26 @@ def draw_progress(view: SearchView, metric: str, beside: ExpertResult | None = N
         x, y = [p.number for p in kept], [p.value for p in kept]
         marks: dict[str, Any] = {"marker": "o", "ms": 6.0, "markevery": list(range(len(x)))}
         ends = [*x, count], [*y, y[-1]]
-        axes.step(*ends, where="post", color=BLUE, lw=1.6, zorder=5, label="best so far", **marks)
+        marks |= {"label": "best so far", "gid": "best"}
+        axes.step(*ends, where="post", color=BLUE, lw=1.6, zorder=5, **marks)
     if discarded:
         x, y = [p.number for p in discarded], [p.value for p in discarded]
-        axes.plot(x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="not kept")
+        axes.plot(
+            x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="not kept", gid="other"
+        )
     if guard:
         x, y = [p.number for p in guard], [p.value for p in guard]
         marks = {"mfc": "white", "mec": GREEN, "mew": 1.4, "ms": 5.0}
         axes.plot(x, y, "D", zorder=6, label="guard records", **marks)
     edge = blended_transform_factory(axes.transData, axes.transAxes)
-    for numbers, marker, colour, label in (
-        (beyond, "^", QUIET, "off scale"),
-        (failed, "x", RED, "failed, no score"),
+    for numbers, marker, colour, gid, label in (
+        (beyond, "^", QUIET, "above", "off scale"),
+        (failed, "x", RED, "failed", "failed, no score"),
     ):
         if numbers:
             marks = {"mfc": "white", "mec": colour, "mew": 1.6, "ms": 6.0, "clip_on": False}
             y = [1.0] * len(numbers)
-            axes.plot(numbers, y, marker, transform=edge, zorder=6, label=label, **marks)
+            axes.plot(numbers, y, marker, transform=edge, zorder=6, label=label, gid=gid, **marks)
     labels = [_reference(axes, i, name, value) for i, (name, value) in enumerate(references)]
     handles = axes.get_legend_handles_labels()[0]
     figure_legend(figure, handles, 4, handletextpad=0.5, columnspacing=2.2)
@@ -138,7 +142,12 @@ def draw_progress(view: SearchView, metric: str, beside: ExpertResult | None = N
     figure.set_layout_engine("none")
     _spread(labels, figure.dpi)
     if kept:
-        _tag(axes, canvas, kept, points)
+        # The best model, the first one, then by how much each improved on the one before.
+        gains = {b.number: a.value - b.value for a, b in pairwise(kept)}
+        middle = sorted(kept[1:-1], key=lambda p: -gains[p.number])
+        chosen = [kept[-1], *kept[:-1][:1], *middle]
+        named = [NamedPoint(p.number, p.value, p.title) for p in chosen]
+        name_points(axes, canvas, named, [(p.number, p.value) for p in points])
     return figure
 
 
@@ -206,41 +215,54 @@ def _spread(labels: Sequence[Text], dpi: float) -> None:
         labels[index].set_position((9.0, float(y - middle[index]) * points))
 
 
-def _tag(
-    axes: Axes, canvas: FigureCanvasAgg, kept: Sequence[_Point], points: Sequence[_Point]
+@dataclass(frozen=True)
+class NamedPoint:
+    """A point of a picture with the name that it receives."""
+
+    x: float
+    y: float
+    name: str
+
+
+def name_points(
+    axes: Axes,
+    canvas: FigureCanvasAgg,
+    named: Sequence[NamedPoint],
+    points: Sequence[tuple[float, float]],
 ) -> None:
-    """Name the improvements, where there is room and no point is covered."""
-    # The best model, the first one, then by how much each improved on the one before.
-    chosen = list(kept)
-    if len(kept) > 1:
-        gains = {b.number: a.value - b.value for a, b in pairwise(kept)}
-        middle = sorted(kept[1:-1], key=lambda p: -gains[p.number])
-        chosen = [kept[-1], kept[0], *middle][:_MOST_TAGS]
-    texts = [_balanced(plain(p.title, 66), 26) for p in chosen]
-    weights = ["bold" if p is kept[-1] else "normal" for p in chosen]
-    # Places are found in units of a page's picture, whose letters are 11 high, and y goes down.
+    """Name some points, where there is room and no point is covered.
+
+    Args:
+        named: the most important one, in bold, first.
+        points: all points.
+    """
+    named = named[:_MOST_TAGS]
+    texts = [_balanced(plain(p.name, 66), 26) for p in named]
+    weights = ["bold", *["normal"] * len(named)]
+    # Places are found in units in which letters are 11 high, and y goes down.
     unit = canvas.figure.dpi / 72.0 * _TAG_FONT / 11.0
 
-    def position(point: _Point) -> tuple[float, float]:
-        x, y = axes.transData.transform((point.number, point.value)) / unit
+    def position(point: tuple[float, float]) -> tuple[float, float]:
+        x, y = axes.transData.transform(point) / unit
         return float(x), -float(y)
 
     tags: list[Tag] = []
-    for point, text, weight in zip(chosen, texts, weights, strict=True):
+    for point, text, weight in zip(named, texts, weights, strict=False):
         box = Text(0, 0, text, fontsize=_TAG_FONT, fontweight=weight, figure=canvas.figure)
         extent = box.get_window_extent(canvas.get_renderer())
-        tags.append(Tag(position(point), (extent.width / unit + 4.0, extent.height / unit + 4.0)))
+        size = extent.width / unit + 4.0, extent.height / unit + 4.0
+        tags.append(Tag(position((point.x, point.y)), size))
     edge = axes.get_window_extent()
     frame = Box(edge.x0 / unit, -edge.y1 / unit, edge.x1 / unit, -edge.y0 / unit)
     places = place(tags, [position(p) for p in points], frame)
     scale = _TAG_FONT / 11.0
-    for point, text, weight, tag, found in zip(chosen, texts, weights, tags, places, strict=True):
+    for point, text, weight, tag, found in zip(named, texts, weights, tags, places, strict=False):
         if found is None:
             continue
         x, y = tag.anchor
         axes.annotate(
             text,
-            xy=(point.number, point.value),
+            xy=(point.x, point.y),
             xytext=((found.left + 2.0 - x) * scale, (y - found.bottom + 2.0) * scale),
             textcoords="offset points",
             ha="left",
@@ -285,7 +307,8 @@ def draw_arms(picture: ArmsPicture) -> Figure:
     quiet_grid(axes)
     for index, side in enumerate(sides):
         shift = 0.12 * (index - (len(sides) - 1) / 2)
-        _side(axes, side, _COLOURS[index % len(_COLOURS)], length, shift)
+        line = _COLOURS[index % len(_COLOURS)], DASHES[index // len(_COLOURS) % len(DASHES)]
+        _side(axes, side, line, length, shift)
     for index, level in enumerate(picture.levels):
         label = f"{plain(level.label, 44)}: {number(level.value)}"
         dashes = _DASHES[index % len(_DASHES)]
@@ -296,8 +319,15 @@ def draw_arms(picture: ArmsPicture) -> Figure:
     return figure
 
 
-def _side(axes: Axes, side: ArmCurves, colour: str, length: int, shift: float) -> None:
-    top = axes.get_ylim()[1]
+def _side(
+    axes: Axes,
+    side: ArmCurves,
+    line: tuple[str, str],
+    length: int,
+    shift: float,
+) -> None:
+    """Draw one side. line: its colour and dashes."""
+    top, (colour, dashes) = axes.get_ylim()[1], line
     at = np.arange(1, length + 1)
     for curve in side.curves:
         points = [(n, v) for n, v in enumerate(curve.values, start=1) if v is not None]
@@ -331,4 +361,5 @@ def _side(axes: Axes, side: ArmCurves, colour: str, length: int, shift: float) -
     label = f"{plain(side.label, 44)}: {number(float(middle[-1]))}"
     label += f", median of {len(best)} seeds" if several else ""
     ends = np.append(at[shown], length + 0.4), np.append(middle, middle[-1])
-    axes.step(*ends, where="post", color=colour, lw=2.0, zorder=5, label=label)
+    axes.step(*ends, where="post", color=colour, ls=dashes, lw=2.0, zorder=5, label=label,
+              gid="side")  # fmt: skip

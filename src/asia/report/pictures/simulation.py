@@ -2,8 +2,8 @@
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -38,17 +38,20 @@ from asia.report.drawing.style import (
     ORANGE,
     QUIET,
     RED,
+    SERIES,
     SHADE,
     PlotWithStrip,
     arrange,
     axis_label,
     entitle,
     figure_legend,
+    fill_band,
     headline,
     names_that_fit,
     number,
     picture_width,
     plain,
+    plot_line,
     quantity,
     quiet_grid,
     shown,
@@ -59,7 +62,8 @@ from asia.report.drawing.style import (
 
 MOST_PANELS = 8
 _SINGLE_COLUMN = 3
-_MANY_SAMPLES = 20_000
+_DENSITY = 110
+"""Columns an inch in which long curves are thinned."""
 _BAND = 0.2
 
 
@@ -70,28 +74,80 @@ class Segment:
     Attributes:
         start: index of its first sample in the record.
         measured, simulated: outputs (H,).
-        other: a second simulation (H,).
+        others: further simulations (H,).
         skip: number of first samples that do not count.
         band: lower and upper edges (H,) of the output bands.
+        below: values (H,) of a curve that stands in place of the errors.
     """
 
     name: str
     start: int
     measured: Array
     simulated: Array
-    other: Array | None = None
+    others: tuple[Array, ...] = ()
     skip: int = 0
     band: tuple[Array, Array] | None = None
+    below: Array | None = None
+
+    def cut(self, first: int, end: int) -> Self:
+        """Return the samples from `first` to before `end`, counted from the start."""
+        part = slice(first, end)
+        return replace(
+            self,
+            start=self.start + first,
+            measured=self.measured[part],
+            simulated=self.simulated[part],
+            others=tuple(one[part] for one in self.others),
+            skip=max(0, min(self.skip, end) - first),
+            band=None if self.band is None else (self.band[0][part], self.band[1][part]),
+            below=None if self.below is None else self.below[part],
+        )
+
+    @property
+    def errors(self) -> list[Array]:
+        """Errors (H,) of the simulations."""
+        return [self.measured - one for one in (self.simulated, *self.others)]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One output over one or several segments. error: its error in words."""
+    """One output over one or several segments.
+
+    Attributes:
+        error: its error in words.
+        below: signal of the curves in place of the errors.
+    """
 
     title: str
     error: str
     signal: Signal
     segments: tuple[Segment, ...]
+    below: Signal | None = None
+
+    def __len__(self) -> int:
+        return sum(len(one.measured) for one in self.segments)
+
+    def cut(self, first: int, last: int | None) -> Self:
+        """Return the part between two samples, counted over all segments and clipped to them; at
+        least two samples. last: None for the end."""
+        begin = min(max(first, 0), len(self) - 2)
+        end = max(len(self) if last is None else min(last + 1, len(self)), begin + 2)
+        found: list[Segment] = []
+        for one in self.segments:
+            count = len(one.measured)
+            if begin < count and end > 0:
+                found.append(one.cut(max(begin, 0), min(end, count)))
+            begin, end = begin - count, end - count
+        return replace(self, segments=tuple(found))
+
+    def error_limit(self) -> float:
+        """Return the largest error that the strip shows: of several simulations, one that is far
+        off does not hide the others."""
+        each = zip(*(one.errors for one in self.segments), strict=True)
+        sizes = sorted(
+            max(float(np.nanmax(np.abs(e), initial=0.0)) for e in errors) for errors in each
+        )
+        return min(sizes[-1], 5 * sizes[0]) or sizes[-1] or 1.0
 
 
 def draw_overlay(
@@ -101,9 +157,10 @@ def draw_overlay(
     *,
     measured: str = "measured",
     simulated: str = "simulated",
-    other: str = "",
+    others: Sequence[str] = (),
     band: str = "",
     kind: str = "records",
+    limit: float | None = None,
 ) -> Figure:
     """Draw a panel each, in two columns when there are many.
 
@@ -113,9 +170,10 @@ def draw_overlay(
         title: title of the picture.
         measured: name of what is to be reproduced.
         simulated: name of the simulation.
-        other: name of the second simulation.
+        others: names of further simulations.
         band: name of the output bands.
         kind: what the segments of a panel are.
+        limit: largest error that a strip shows; default: all errors.
     """
     columns = 1 if len(panels) <= _SINGLE_COLUMN else 2
     characters, room = (80, 90) if columns == 1 else (56, 72)
@@ -128,15 +186,17 @@ def draw_overlay(
         axis = lay_out(segments, sampling_time, unit, kind)
         plot = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         strip = figure.add_axes((0.0, 0.0, 1.0, 1.0), sharex=plot)
-        _draw_panel(plot, strip, panel, axis, room)
-        heading = f"{panel.title}:  {panel.error}"
+        _draw_panel(plot, strip, panel, axis, room, int(_DENSITY * width / columns))
+        if limit is not None:
+            strip.set_ylim(-limit, limit)
+        heading = f"{panel.title}:  {panel.error}" if panel.error else panel.title
         if len(heading) > characters:
             heading = f"{panel.title}\n{panel.error}"
         plot.set_title(heading)
         plot.tick_params(axis="x", labelbottom=False, length=0)
         if index >= len(panels) - columns:
             strip.set_xlabel(axis.label)
-        cells.append(PlotWithStrip(plot, strip, heading.count("\n") + 1))
+        cells.append(PlotWithStrip(plot, strip, heading.count("\n") + 1 if heading else 0))
 
     every = [segment for panel in panels for segment in panel.segments]
     axes = figure.axes[0]
@@ -144,8 +204,8 @@ def draw_overlay(
         *axes.plot([], [], color=FAINT, lw=2.6, label=measured),
         *axes.plot([], [], color=BLUE, lw=1.1, label=simulated),
     ]
-    if any(s.other is not None for s in every):
-        handles += axes.plot([], [], color=ORANGE, lw=0.9, dashes=(4, 1.5), label=other)
+    for k, name in enumerate(others):
+        handles += axes.plot([], [], lw=0.9, label=name, **_line_of_other(k))
     if any(s.band is not None for s in every):
         handles += axes.fill([np.nan], [np.nan], color=BLUE, alpha=_BAND, lw=0, label=band)
     if any(s.skip for s in every):
@@ -156,30 +216,61 @@ def draw_overlay(
     return figure
 
 
-def _draw_panel(plot: Axes, strip: Axes, panel: Panel, axis: TimeAxis, room: int) -> None:
-    """The curves and, in the strip, their errors. room: characters for the names of segments."""
-    raster = sum(len(s.measured) for s in panel.segments) > _MANY_SAMPLES
-    dashed: dict[str, Any] = {"color": ORANGE, "dashes": (4, 1.5), "rasterized": raster}
-    shade: dict[str, Any] = {"color": BLUE, "alpha": _BAND, "lw": 0, "rasterized": raster}
+def _line_of_other(index: int) -> dict[str, Any]:
+    """Colour and dashes of the further simulations, from 0 on."""
+    dashes = (4.0, 1.5) if index < len(SERIES) - 1 else (1.5, 1.5)
+    return {"color": SERIES[1 + index % (len(SERIES) - 1)], "dashes": dashes}
+
+
+def _draw_panel(
+    plot: Axes, strip: Axes, panel: Panel, axis: TimeAxis, room: int, columns: int
+) -> None:
+    """Draw the curves and, in the strip, their errors.
+
+    Args:
+        room: characters for the names of segments.
+        columns: those in which long curves are thinned, over all segments.
+    """
+    shade: dict[str, Any] = {"color": BLUE, "alpha": _BAND, "lw": 0, "gid": "band"}
     pairs = list(zip(panel.segments, axis.times, strict=True))
     strip.axhline(0.0, color=QUIET, lw=0.7)
+    plot.patch.set_gid("plot")
     for segment, time in pairs:
         y, y_hat = segment.measured, segment.simulated
+        many = max(1, columns * len(y) // len(panel))
         if segment.band is not None:
-            plot.fill_between(time, *segment.band, **shade)
-        plot.plot(time, y, color=FAINT, lw=2.6, rasterized=raster)
-        if segment.other is not None:
-            plot.plot(time, segment.other, lw=0.9, **dashed)
-            strip.plot(time, y - segment.other, lw=0.7, **dashed)
-        plot.plot(time, y_hat, color=BLUE, lw=1.1, rasterized=raster)
+            fill_band(plot, time, segment.band, many, **shade)
+        plot_line(plot, time, y, many, color=FAINT, lw=2.6, gid="measured")
+        for k, other in enumerate(segment.others):
+            line = _line_of_other(k)
+            plot_line(plot, time, other, many, lw=0.9, gid="other", **line)
+            if segment.below is None:
+                plot_line(strip, time, y - other, many, lw=0.7, **line)
+        plot_line(plot, time, y_hat, many, color=BLUE, lw=1.1, gid="simulated")
+        if segment.below is not None:
+            plot_line(strip, time, segment.below, many, color=ORANGE, lw=0.9)
+            continue
         if segment.band is not None:
             low, high = (edge - y_hat for edge in segment.band)
-            strip.fill_between(time, low, high, **shade)
-        strip.plot(time, y - y_hat, color=BLUE, lw=0.9, rasterized=raster)
+            fill_band(strip, time, (low, high), many, **shade)
+        plot_line(strip, time, y - y_hat, many, color=BLUE, lw=0.9)
+    # A simulation that leaves the measured output far behind is cut off.
+    y = np.concatenate([s.measured for s in panel.segments])
+    if not np.isnan(y).all():
+        least, most = float(np.nanmin(y)), float(np.nanmax(y))
+        around = 0.6 * (most - least) or 1.0
+        low, high = plot.get_ylim()
+        plot.set_ylim(max(low, least - around), min(high, most + around))
+    if any(s.others for s in panel.segments):
+        strip.set_ylim(-panel.error_limit(), panel.error_limit())
     unit = plain(panel.signal.unit, 8)
     plot.set_ylabel(axis_label(panel.signal))
-    strip.set_ylabel(f"error\n[{unit}]" if unit else "error", fontsize=7.5)
-    strip.yaxis.set_major_locator(MaxNLocator(nbins=3, symmetric=True))
+    if panel.below is not None:
+        strip.set_ylabel(axis_label(panel.below), fontsize=7.5)
+        strip.yaxis.set_major_locator(MaxNLocator(nbins=3))
+    else:
+        strip.set_ylabel(f"error\n[{unit}]" if unit else "error", fontsize=7.5)
+        strip.yaxis.set_major_locator(MaxNLocator(nbins=3, symmetric=True))
     for axes in (plot, strip):
         quiet_grid(axes)
         axes.set_xlim(*axis.limits)
@@ -209,37 +300,60 @@ def _draw_panel(plot: Axes, strip: Axes, panel: Panel, axis: TimeAxis, room: int
 def draw_simulation(
     run: Run, problem: Problem, experiment: Experiment, folds: Sequence[Fold]
 ) -> Figure:
-    """Measured against simulated, a panel for each output and fold. When these are too many, the
-    outputs and folds with the lowest fit index are shown, and the title says so."""
+    """Measured against simulated, see `simulation_panels`; the title says what is left out."""
     score = experiment.score
     assert score is not None
-    outputs = fold_outputs(run.store, experiment.folds, folds)
+    panels, notes = simulation_panels(run, problem, experiment, folds)
+    content = "held-out folds"
+    if problem.protocol.kind == "windows":
+        content = "best, median and worst held-out window of each fold"
+    title = f"{_experiment(experiment)}: {content}, {run.view.v_name} = {number(score.value)}"
+    names = overlay_names(problem)
+    return draw_overlay(panels, problem.sampling_time, title + notes, **names)
+
+
+def overlay_names(problem: Problem) -> dict[str, Any]:
+    """The names of `draw_overlay` for held-out folds of a problem."""
+    if problem.control is not None:
+        return {"kind": "scenarios", "measured": "target", "simulated": "response"}
+    return {"kind": "windows" if problem.protocol.kind == "windows" else "records"}
+
+
+def simulation_panels(
+    run: Run,
+    problem: Problem,
+    experiment: Experiment,
+    folds: Sequence[Fold],
+    others: Sequence[tuple[Run, Experiment]] = (),
+) -> tuple[tuple[Panel, ...], str]:
+    """Return held-out folds of an experiment with its simulations, a panel for each output and
+    fold, and in words what is left out. When these are too many, the outputs and folds with the
+    lowest fit index are shown. Of a controller the strip shows the input that moves most.
+
+    Args:
+        others: experiments with the same folds, whose simulations lie over these.
+    """
+    score = experiment.score
+    assert score is not None
+    outputs = [fold_outputs(r.store, e.folds, folds) for r, e in ((run, experiment), *others)]
     fits = [min(np.inf if f is None else f for f in fold.fit_index) for fold in score.folds]
     shown_folds = lowest(fits, MOST_PANELS // 2)
-    channels = lowest(worst_fits(score), MOST_PANELS // len(shown_folds))
-    panels = [
-        Panel(
-            *_fold_title(problem, k, c, score.folds[k]),
-            problem.outputs[c],
-            tuple(_fold_segments(problem, folds[k], outputs[k], c)),
-        )
+    control = problem.control
+    count = len(problem.outputs) if control is None else len(control.controlled)
+    channels = lowest(worst_fits(score)[:count], MOST_PANELS // len(shown_folds))
+    panels = tuple(
+        _fold_panel(problem, folds[k], score.folds[k], [one[k] for one in outputs], c)
         for c in channels
         for k in shown_folds
-    ]
+    )
     notes = shown(
         (len(shown_folds), len(folds), "folds"),
-        (len(channels), len(problem.outputs), "outputs"),
+        (len(channels), count, "outputs"),
         why="shown, the lowest fit",
     )
-    content, kind = "best, median and worst held-out window of each fold", "windows"
     if problem.protocol.kind != "windows":
-        content, kind = "held-out folds", "records"
         notes += shown((min(len(problem.train), _MOST_SEGMENTS), len(problem.train), "records"))
-    title = f"{_experiment(experiment)}: {content}, {run.view.v_name} = {number(score.value)}"
-    names: dict[str, str] = {}
-    if problem.control is not None:
-        kind, names = "scenarios", {"measured": "target", "simulated": "response"}
-    return draw_overlay(panels, problem.sampling_time, title + notes, kind=kind, **names)
+    return panels, notes
 
 
 _MOST_SEGMENTS = 4
@@ -258,30 +372,72 @@ def _fold_title(problem: Problem, fold: int, channel: int, score: FoldScore) -> 
     return f"Fold {fold + 1}{output}", f"{plain(metric.label, 16)} {error}{ending}"
 
 
-def _fold_segments(
-    problem: Problem, fold: Fold, outputs: Sequence[Array], channel: int
-) -> list[Segment]:
+def _fold_panel(
+    problem: Problem,
+    fold: Fold,
+    score: FoldScore,
+    outputs: Sequence[Sequence[Array]],
+    channel: int,
+) -> Panel:
     """The first records, or the windows with the least, the middle and the largest error over all
-    outputs."""
+    outputs. outputs: simulated blocks of each experiment."""
     blocks = fold.held_out
     chosen = [(block.name, k) for k, block in enumerate(blocks[:_MOST_SEGMENTS])]
     if problem.protocol.kind == "windows":
         chosen = []
-        for word, k in representative_windows([block.y for block in blocks], outputs, fold.scale):
+        measured = [block.y for block in blocks]
+        for word, k in representative_windows(measured, outputs[0], fold.scale):
             record = f"record {blocks[k].record + 1}, " if len(problem.train) > 1 else ""
             start = blocks[k].start * problem.sampling_time
             chosen.append((f"{word}: {record}{start:.3g} s", k))
-    return [
-        Segment(name, blocks[k].start, blocks[k].y[:, channel], outputs[k][:, channel])
-        for name, k in chosen
-    ]
+    control, inputs, moved = problem.control, list[Array](), 0
+    if control is not None:
+        start = np.array([a.start for a in control.actuators])
+        ranges = np.array([a.max - a.min for a in control.actuators])
+        inputs = [
+            start + np.cumsum(outputs[0][k][:, len(control.controlled) :], axis=0)
+            for _, k in chosen
+        ]
+        moved = int(np.argmax(np.ptp(np.concatenate(inputs), axis=0) / ranges))
+    segments = tuple(
+        Segment(
+            name,
+            blocks[k].start,
+            blocks[k].y[:, channel],
+            outputs[0][k][:, channel],
+            tuple(one[k][:, channel] for one in outputs[1:]),
+            below=inputs[place][:, moved] if inputs else None,
+        )
+        for place, (name, k) in enumerate(chosen)
+    )
+    title, error = _fold_title(problem, fold.index, channel, score)
+    below = None if control is None else control.base.inputs[moved]
+    return Panel(title, error, problem.outputs[channel], segments, below)
 
 
 def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedModel) -> Figure:
-    """Measured, ensemble and refitted model over the test: a panel for each trajectory and output,
+    """Measured, ensemble and refitted model over the test, see `draw_tested`. A refitted model that
+    failed is left out."""
+    use = run.view.refitted.use if run.view.refitted else None
+    title = f"Sealed test: experiment {opened.experiment}"
+    title += f", model to use: {use}" if use else ""
+    models = {f"ensemble of {problem.protocol.folds.count} fold models": ensemble}
+    if isinstance(opened.refit, TestedModel):
+        models["refitted on all training data"] = opened.refit
+    return draw_tested(run, problem, opened, models, title)
+
+
+def draw_tested(
+    run: Run, problem: Problem, opened: Unsealed, models: Mapping[str, TestedModel], title: str
+) -> Figure:
+    """Draw measured and simulated outputs of the test: a panel for each trajectory and output,
     samples that do not count are shaded; or the best, median and worst window of the whole test, a
-    panel for each output, of many those with the lowest fit index. A refitted model that failed is
-    left out."""
+    panel for each output, of many those with the lowest fit index.
+
+    Args:
+        models: the models by their names, at least one.
+        title: title of the picture, which says what is left out; "" for none.
+    """
     shapes = [(length, len(opened.channels)) for length in opened.lengths]
 
     def read(artifact: str) -> tuple[Array, ...]:
@@ -289,9 +445,8 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
             return opened_windows(run, opened, artifact)
         return run.store.get_arrays(artifact, shapes)
 
-    refitted = opened.refit if isinstance(opened.refit, TestedModel) else None
-    measured, simulated = read(opened.measured), read(ensemble.y_hat)
-    other = read(refitted.y_hat) if refitted else None
+    measured = read(opened.measured)
+    simulated, *others = (read(model.y_hat) for model in models.values())
     bands, band = opened.bands, ""
     edges = None if bands is None else (read(bands.lower), read(bands.upper))
     if bands is not None:
@@ -304,19 +459,17 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
             start,
             measured[i][:, c],
             simulated[i][:, c],
-            other[i][:, c] if other else None,
+            tuple(other[i][:, c] for other in others),
             skip,
             (edges[0][i][:, c], edges[1][i][:, c]) if edges else None,
         )
 
     def panel(c: int, trajectory: str, segments: tuple[Segment, ...]) -> Panel:
         output = f", {plain(problem.outputs[c].name, 24)}" if len(opened.channels) > 1 else ""
-        error = _test_error(problem, opened, (ensemble, refitted), c)
+        error = _test_error(problem, opened, c)
         return Panel(f"{trajectory or 'Test'}{output}", error, problem.outputs[c], segments)
 
-    use = run.view.refitted.use if run.view.refitted else None
-    title = f"Sealed test: experiment {opened.experiment}"
-    title += f", model to use: {use}" if use else ""
+    notes = ""
     if opened.horizon is None:
         channels = list(range(min(len(opened.channels), MOST_PANELS)))
         trajectories = range(min(len(shapes), max(1, MOST_PANELS // len(channels))))
@@ -326,7 +479,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
             for c in channels
             for i in trajectories
         ]
-        title += shown(
+        notes += shown(
             (len(channels), len(opened.channels), "outputs"),
             (len(trajectories), len(shapes), "trajectories"),
         )
@@ -340,31 +493,28 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
             panel(c, "", tuple(segment(f"{w}: window {i + 1}", 0, i, c, 0) for w, i in windows))
             for c in channels
         ]
-        title += f"; best, median and worst of {len(measured)} windows"
-        title += shown((len(channels), len(opened.channels), "outputs with the lowest fit"))
+        notes += f"; best, median and worst of {len(measured)} windows"
+        notes += shown((len(channels), len(opened.channels), "outputs with the lowest fit"))
+    names = list(models)
     return draw_overlay(
         panels,
         problem.sampling_time,
-        title,
-        simulated=f"ensemble of {problem.protocol.folds.count} fold models",
-        other="refitted on all training data",
+        title + notes,
+        simulated=names[0],
+        others=names[1:],
         band=band.replace("%", " %"),
         kind="records" if opened.horizon is None else "windows",
     )
 
 
-def _test_error(
-    problem: Problem, opened: Unsealed, models: tuple[TestedModel, TestedModel | None], channel: int
-) -> str:
-    ensemble, refitted = models
-    score = ensemble.scores[0]
+def _test_error(problem: Problem, opened: Unsealed, channel: int) -> str:
+    found = {"ensemble": opened.ensemble, "refit": opened.refit, "stack": opened.stack}
+    models = {key: model for key, model in found.items() if isinstance(model, TestedModel)}
     several = f" ({len(opened.lengths)} trajectories)" if len(opened.lengths) > 1 else ""
-    values = [f"ensemble {number(score.per_channel[channel])}"]
-    if refitted:
-        values.append(f"refit {number(refitted.scores[0].per_channel[channel])}")
-    if isinstance(opened.stack, TestedModel):
-        values.append(f"stack {number(opened.stack.scores[0].per_channel[channel])}")
-    metric = find_metric(score.metric)
+    values = [
+        f"{key} {number(model.scores[0].per_channel[channel])}" for key, model in models.items()
+    ]
+    metric = find_metric(next(iter(models.values())).scores[0].metric)
     unit = plain(metric.unit_of(problem.outputs[channel].unit), 12)
     return f"{plain(metric.label, 16)}{several} {', '.join(values)} {unit}".rstrip()
 

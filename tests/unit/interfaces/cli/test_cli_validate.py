@@ -57,7 +57,7 @@ def test_a_line_a_check_a_record_in_the_ledger_and_a_section_of_the_report(
     assert len(open_run(finished).lines) == before
     page = write_page(finished).read_text("utf-8")
     assert 'id="validation"' in page
-    assert page.count('class="curves panel"') >= 9
+    assert page.split('id="validation"')[1].split("</section>")[0].count("<figure>") >= 9
 
 
 @pytest.mark.slow

@@ -156,12 +156,29 @@ const refresh = atMost(1000, async () => {
   place.replaceChildren(fresh);
 });
 
+// The losses of a running fit as a line without axes; logarithmic where all are positive.
+function drawLosses() {
+  for (const svg of all("svg[data-losses]")) {
+    const points = JSON.parse(svg.dataset.losses), isLog = points.every(([, loss]) => loss > 0);
+    const columns = [points.map(([step]) => step), points.map(([, loss]) => (isLog ? Math.log(loss) : loss))];
+    const [x, y] = columns.map((values) => {
+      const low = Math.min(...values), high = Math.max(...values);
+      return values.map((value) => (high > low ? (value - low) / (high - low) : 0.5));
+    });
+    const line = document.createElementNS("http://www.w3.org/2000/svg", "polyline");
+    line.setAttribute("points", x.map((share, k) => `${2 + 136 * share},${30 - 26 * y[k]}`).join(" "));
+    svg.setAttribute("viewBox", "0 0 140 34");
+    svg.replaceChildren(line);
+  }
+}
+
 // Checked boxes and the focus survive.
 function swap(place, html) {
   const checked = new Set(all("input:checked", place).map((box) => box.value));
   const focused = document.activeElement?.value;
   const inside = place.contains(document.activeElement);
   place.replaceChildren(elements(html));
+  drawLosses();
   for (const box of all("input", place)) {
     box.checked = checked.has(box.value);
     if (inside && box.value === focused) box.focus();
@@ -251,4 +268,5 @@ if (rows) {
   rows.addEventListener("scroll", nearEnd, { passive: true });
 }
 for (const place of all("[data-stream]")) follow(place);
+drawLosses();
 fillAll();

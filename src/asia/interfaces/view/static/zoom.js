@@ -2,6 +2,8 @@
 "use strict";
 
 const LEAST = 8;
+// The samples leave this share of the picture free on each side.
+const EDGE = 0.01;
 const shownPart = (box) => ({ first: Number(box.dataset.first ?? 0), last: Number(box.dataset.last ?? box.dataset.count - 1) });
 
 async function showPart(box, first, last) {
@@ -49,26 +51,28 @@ document.addEventListener("click", (event) => {
 let drag = null;
 
 document.addEventListener("pointerdown", (event) => {
-  const plot = event.target.closest(".zoomable .plot");
-  if (!plot || event.button !== 0) return;
+  const drawn = event.target.closest(".zoomable .drawn");
+  if (!drawn || event.button !== 0) return;
   event.preventDefault();
-  const band = document.createElement("span");
+  const plot = drawn.querySelector(".plot"), band = document.createElement("span");
   band.className = "chosen";
-  plot.append(band);
-  plot.setPointerCapture(event.pointerId);
-  drag = { plot, band, start: share(plot, event) };
+  drawn.append(band);
+  drawn.setPointerCapture(event.pointerId);
+  drag = { drawn, plot, band, start: share(plot, event) };
 });
 
 document.addEventListener("pointermove", (event) => {
   if (!drag) return;
-  const here = share(drag.plot, event);
-  drag.band.style.left = `${100 * Math.min(here, drag.start)}%`;
-  drag.band.style.width = `${100 * Math.abs(here - drag.start)}%`;
+  const here = share(drag.plot, event), left = Math.min(here, drag.start);
+  const whole = drag.drawn.getBoundingClientRect(), { left: from, top, width, height } = drag.plot.getBoundingClientRect();
+  const places = { left: from - whole.left + left * width, top: top - whole.top, width: Math.abs(here - drag.start) * width, height };
+  for (const [side, pixels] of Object.entries(places)) drag.band.style[side] = `${pixels}px`;
 });
 
 function drop(event) {
   if (!drag) return;
-  const { plot, band, start } = drag, here = share(plot, event);
+  const { plot, band } = drag;
+  const [start, here] = [drag.start, share(plot, event)].map((one) => one * (1 + 2 * EDGE) - EDGE);
   drag = null;
   band.remove();
   if (event.type === "pointercancel" || Math.abs(here - start) < 0.02) return;

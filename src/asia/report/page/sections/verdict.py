@@ -4,28 +4,34 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
+
+from markupsafe import Markup
 
 from asia._text import one_line
+from asia._timer import duration
 from asia.judge.evaluation.references import CONTROLLERS
 from asia.judge.scoring.checks.validation_data import listed
-from asia.ledger.events import Refitted, TestedModel, Unsealed
+from asia.judge.scoring.outcome import Score
+from asia.ledger.events import Evaluated, RefitCheck, TestedModel, Unsealed, Use
 from asia.ledger.evidence import identified
 from asia.ledger.run import model_to_use, tested_model
-from asia.ledger.simulated import (
-    final_models,
-    fold_outputs,
-    lowest,
-    representative_windows,
-    worst_fits,
-)
+from asia.ledger.simulated import final_models
 from asia.ledger.verdict import alarms, unguarded, usability
-from asia.ledger.view import Experiment
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
-from asia.report.page.code import python
-from asia.report.page.html import Html, facts, join, said, table, tag
+from asia.report.drawing.inline import PANEL
+from asia.report.page.render import FORMATS, picture, render
 from asia.report.page.subject import Section, Subject, result_of
-from asia.report.page.svg import Overlay, draw_overlay, overlay_legend
+from asia.report.pictures.simulation import (
+    Panel,
+    draw_overlay,
+    draw_tested,
+    overlay_names,
+    simulation_panels,
+)
 from asia.report.published import Board, read_board
 
 # Five lines for someone who has to decide.
@@ -35,9 +41,9 @@ from asia.report.published import Board, read_board
 _BETTER = 0.95
 
 
-def _false_scores(subject: Subject) -> Iterator[str]:
+def _false_scores(view: SearchView) -> Iterator[str]:
     """Yield the alarms of the search, and whether V stands alone, without figures."""
-    view, best = subject.view, subject.view.best
+    best = view.best
     if best is None or best.score is None:
         return
     found = alarms(view)
@@ -59,9 +65,8 @@ _COLOURS = {
 }  # fmt: skip
 
 
-def stamp(subject: Subject) -> tuple[str, str]:
+def stamp(view: SearchView) -> tuple[str, str]:
     """Return the verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
-    view = subject.view
     if view.best is None:
         return "No model", "none"
     judged = usability(view)
@@ -76,103 +81,75 @@ _USES = {
 }
 
 
-def _write(subject: Subject) -> Html | None:
+def _content(subject: Subject) -> dict[str, Any] | None:
     view, best, named = subject.view, subject.view.best, model_to_use(subject.view)
     if subject.run.state == "running" and not view.finished:
         return None
-    text, kind = stamp(subject)
-    control = subject.problem is not None and subject.problem.control is not None
+    text, kind = stamp(view)
     use = "" if named is None else _USES[named.model]
-    if control and named is not None and named.model == "refit":
+    if subject.is_control and named is not None and named.model == "refit":
         use = "the one designed for all training scenarios"
-    if best is None or named is None:
-        count = subject.over("proposed", "experiment", "count", "count")
-        lines = [join(("None of the candidates has a score. They were ", count, " in all."))]
-    else:
-        lines = [
-            *(tag("b", said(words)) for words in _false_scores(subject)),
-            _found(subject, best),
-            _error(subject, best),
-            _test(subject),
-            join(("Controller to use: " if control else "Model to use: ", tag("b", use), ".")),
-            _trust(subject, kind),
-        ]
-    if not view.complete and view.unsealed is None:
-        lines.append(join(("The search is not finished: all of this may change.",)))
-    verdict = tag("p", text, class_=f"stamp {kind}")
-    listed_lines = tag("ol", *(tag("li", line) for line in lines), class_="verdict")
-    return join((verdict, listed_lines, None if best is None else _tiles(subject, best)))
+    if best is None or best.score is None or named is None:
+        return {"stamp": text, "kind": kind, "use": None}
+    tested = view.unsealed
+    return {
+        "stamp": text,
+        "kind": kind,
+        "use": use,
+        "false_scores": list(_false_scores(view)),
+        "compared": _compared(subject, best.score.value),
+        "sealed": sealed_sentence(view) if tested is None else None,
+        "tested": None if tested is None else tested_figure(tested, named.model),
+        "unit": _common_unit(subject),
+        "trust": _trust(subject, kind),
+        "tiles": list(_tiles(subject, best, best.score)),
+    }
 
 
-def _found(subject: Subject, best: Experiment) -> Html:
-    view, held = subject.view, subject.view.incumbent
-    rank = [") is the only candidate for "]
-    if len(view.finished) > 1:
-        count = subject.over("evaluated", "experiment", "count", "count")
-        rank = [") is the best of ", count, " candidates for "]
-    method: list[str] = []
-    if held is not None and held.number != best.number:
-        link = tag("a", subject.name(held), href=f"#e{held.number}")
-        text = " Its own fit has the lowest V; it is statistically equal to experiment "
-        method = [text, link, "."]
-    number = tag("a", subject.name(best), href=f"#e{best.number}")
-    title = tag("b", said(best.proposed.title))
-    return join((title, " (experiment ", number, *rank, said(view.started.problem), ".", *method))
+def _compared(subject: Subject, value: float) -> str:
+    """Compare the V of the best with that of the best linear model, as the end of a sentence."""
+    linear = subject.reference("linear model")
+    if linear is None:
+        return "."
+    other = FORMATS["share"](linear)
+    if value <= _BETTER * linear:
+        times = FORMATS["times"](linear / value)
+        return f". The best linear model has {other}, {times} times as much."
+    if linear > _BETTER * value:
+        return f", no better than the best linear model with {other}."
+    return f", worse than the best linear model with {other}."
 
 
-def _error(subject: Subject, best: Experiment) -> Html:
-    result, score = result_of(best), best.score
-    assert score is not None
-    if subject.problem is not None and subject.problem.control is not None:
-        cost = tag("b", subject.v(best))
-        return join(("In held-out scenarios its errors are ", cost, " tolerances."))
-    share = tag("b", subject.number(result, "outcome.value", "share"))
-    start = ("On held-out data its error is ", share, " of the output's standard deviation")
-    reference = subject.reference("linear model")
-    if reference is None:
-        return join((*start, "."))
-    linear, value = reference
-    other = subject.number(linear, "outcome.value", "share")
-    if score.value <= _BETTER * value:
-        pair = (linear, "outcome.value"), (result, "outcome.value")
-        times = subject.made("ratio", "times", *pair)
-        return join((*start, ". The best linear model has ", other, ", ", times, " times as much."))
-    if value > _BETTER * score.value:
-        return join((*start, ", no better than the best linear model with ", other, "."))
-    return join((*start, ", worse than the best linear model with ", other, "."))
+def sealed_sentence(view: SearchView) -> str:
+    """Say what a test that is not open means for the figures."""
+    if view.started.test_digest is not None:
+        return (
+            "The sealed test is still closed. The error above also served to choose the model, so "
+            "expect a slightly larger error on new records."
+        )
+    if any(one.record for one in view.validated):
+        return (
+            "There is no sealed test. Only the validation on new records is of samples that the "
+            "search did not see."
+        )
+    return "There is no sealed test, so no figure here is from unseen records."
 
 
-def _test(subject: Subject) -> Html:
-    view, opened = subject.view, subject.view.unsealed
-    if opened is None:
-        text = "There is no sealed test, so no figure here is from unseen records."
-        if any(one.record for one in view.validated):
-            text = (
-                "There is no sealed test. Only the validation on new records is of samples that "
-                "the search did not see."
-            )
-        if view.started.test_digest is not None:
-            text = (
-                "The sealed test is still closed. The error above also served to choose the model, "
-                "so expect a slightly larger error on new records."
-            )
-        return join((text,))
-    named = model_to_use(view)
-    use = named.model if named else "ensemble"
+def tested_figure(opened: Unsealed, use: Use) -> tuple[str, str] | None:
+    """Return the metric and the error of the model to use on the test; None where it fails."""
     model = tested_model(opened, use)
     if not isinstance(model, TestedModel):
-        return join(("The model to use fails on the sealed test.",))
-    place = use if getattr(opened, use) is not None else "ensemble"
-    value = tag("b", subject.number(opened, f"{place}.scores.0.value", "sig4"))
-    label = said(find_metric(model.scores[0].metric).label)
+        return None
+    score = model.scores[0]
+    return find_metric(score.metric).label, FORMATS["sig"](score.value)
+
+
+def _common_unit(subject: Subject) -> str:
     units = {s.unit for s in subject.problem.outputs} if subject.problem else {""}
-    known = units.pop() if len(units) == 1 else ""
-    unit = join((" ", said(known))) if known else None
-    text = "On the sealed test, which this run opened after the search, its "
-    return join((text, label, " is ", value, unit, "."))
+    return units.pop() if len(units) == 1 else ""
 
 
-def _trust(subject: Subject, kind: str) -> Html:
+def _trust(subject: Subject, kind: str) -> str:
     judged, view = usability(subject.view), subject.view
     found, parameters = identified(subject.run), ""
     if found is not None and found.disagreeing:
@@ -182,351 +159,210 @@ def _trust(subject: Subject, kind: str) -> Html:
         )
     if judged is not None and kind in ("none", "doubt"):
         start = "Do not use this model" if kind == "none" else "Use it with care"
-        return join((f"{start}. ", said(" ".join(judged.reasons), 2000), parameters))
+        return f"{start}. {one_line(' '.join(judged.reasons), 2000)}{parameters}"
     text = f"No candidate saw its validation data.{parameters}"
     if view.refitted and view.refitted.again:
         text += " Refitting the best candidate gave the same result."
-    if subject.problem is not None and subject.problem.control is not None:
-        return join((text.replace("validation data", "held-out scenarios"),))
+    if subject.is_control:
+        return text.replace("validation data", "held-out scenarios")
     if kind == "good":
-        return join((text, " No validation check failed."))
-    command = tag("code", f"asia validate {view.started.run}")
-    return join((text, " Its residuals and behaviour were not checked: run ", command, "."))
+        return f"{text} No validation check failed."
+    return f"{text} Its residuals and behaviour were not checked: run "
 
 
-def _tiles(subject: Subject, best: Experiment) -> Html:
-    result, score = result_of(best), best.score
-    assert score is not None
-    tiles: list[tuple[str, Html]] = [("V, best candidate", subject.v(best))]
+def _tiles(subject: Subject, best: Experiment, score: Score) -> Iterator[tuple[str, str]]:
+    yield "V, best candidate", subject.v(best)
     for label, name in (
         ("V, linear model", "linear model"),
         ("V, noise floor", "simulated truth"),
         ("V, training mean", "training mean"),
         *((f"V, {name}", name) for name in CONTROLLERS),
     ):
-        reference = subject.reference(name)
-        if reference is not None:
-            tiles.append((label, subject.number(reference[0], "outcome.value", "error")))
-    paths = [
-        (result, f"outcome.folds.{k}.fit_index.{c}")
-        for k, fold in enumerate(score.folds)
-        for c, fit in enumerate(fold.fit_index)
-        if fit is not None
-    ]
-    if paths:
-        tiles.append(("lowest fit index", subject.made("least", "percent", *paths)))
-    tiles.append(("experiments", subject.over("evaluated", "experiment", "count", "count")))
-    tiles.append(("evaluation time", subject.over("evaluated", "seconds", "sum", "duration")))
-    shown = [tag("div", tag("dt", label), tag("dd", value)) for label, value in tiles]
-    return tag("dl", *shown, class_="tiles")
+        value = subject.reference(name)
+        if value is not None:
+            yield label, FORMATS["error"](value)
+    fits = [fold.worst_fit for fold in score.folds if fold.worst_fit is not None]
+    if fits:
+        yield "lowest fit index", FORMATS["percent"](min(fits))
+    yield "experiments", str(len(subject.evaluations))
+    yield "evaluation time", duration(subject.seconds)
 
 
-SECTION = Section("verdict", "Verdict", _write)
+SECTION = Section("verdict", "Verdict", _content)
 
 
 # The model to use, why this one, and how.
 
 
-def _write_handover(subject: Subject) -> Html | None:
+def _handover(subject: Subject) -> dict[str, Any] | None:
     view = subject.view
     named, refitted = model_to_use(view), view.refitted
-    if named is None or (subject.problem is not None and subject.problem.control is not None):
+    if named is None or subject.is_control:
         return None
-    parts = [facts((("use", tag("b", named.model)), ("because", said(named.reason, 600))))]
-    if refitted is not None:
-        parts += _refitted(subject, refitted)
     name = one_line(view.started.run, 120).replace('"', "'")
     source = (
         f'import asia\n\nfound = asia.simulate("runs/{name}", past_u, past_y, u, bands=0.9)\n'
         "found.y_hat, found.lower, found.upper, found.outside\n"
     )
-    return join((*parts, tag("h3", "In a program"),
-                 python(source, "how to simulate with the model")))  # fmt: skip
+    rows = [] if refitted is None or refitted.check is None else _final_rows(refitted.check)
+    return {"named": named, "refitted": refitted, "rows": rows, "source": source}
 
 
-def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
-    """Yield the final models, the stack, and the repeated fit."""
-    check, stack, again = refitted.check, refitted.stack, refitted.again
+def _final_rows(check: RefitCheck) -> list[list[str]]:
+    """Error of each final model, and its difference from the ensemble."""
+    error = FORMATS["error"]
 
-    def value(path: str, known: float | None) -> Html | None:
-        return None if known is None else subject.number(refitted, path, "error")
+    def shown(value: float | None, missing: str = "") -> str:
+        return missing if value is None else error(value)
 
-    rows: list[list[str | None]] = []
-    if check is not None:
-        for k, error in enumerate(check.fold_errors):
-            name = join(("model of fold ", tag("span", f"{k + 1}", class_="fixed")))
-            rows.append([name, value(f"check.fold_errors.{k}", error) or "no answer", None])
-        if check.ensemble_error is not None:
-            rows.append(["ensemble", value("check.ensemble_error", check.ensemble_error), None])
-        for k, start in enumerate(check.starts):
-            objection = join((" ", said(f"({start.failed})"))) if start.failed else None
-            name = join(("refit" if check.kept == k + 1 else "refit, not used", objection))
-            error = value(f"check.starts.{k}.value", start.value) or "no answer"
-            apart = value(f"check.starts.{k}.disagreement", start.disagreement)
-            rows.append([name, error, apart])
-    if rows:
-        head = [
-            "model",
-            "scaled error on the training records",
-            "difference from the ensemble, in standard deviations of the output",
-        ]
-        yield table(head, rows, "Final models")
-    if stack is not None:
-        members: list[Html] = []
-        for k in range(len(stack.members)):
-            at = f"stack.members.{k}"
-            weight = subject.number(refitted, f"{at}.weight", "fixed2")
-            number = subject.number(refitted, f"{at}.experiment", "number")
-            members.append(join((number, " with weight ", weight)))
-        nested = subject.number(refitted, "stack.value", "error")
-        yield tag(
-            "p", "Stack: ", join(members, ", "), "; V by nested cross-validation ", nested, "."
-        )
-    if again is not None:
-        fold = subject.number(refitted, "again.fold", "count")
-        if again.value is None:
-            yield tag("p", "A second fit of fold ", fold, " failed: ", said(again.failed), ".")
-        elif again.value == 1.0:
-            yield tag("p", "A second fit of fold ", fold, " gave the same result.")
-        else:
-            ratio = subject.number(refitted, "again.value", "sig4")
-            yield tag(
-                "p", "A second fit of fold ", fold, " has ", ratio, " times the error of the first."
-            )
+    rows = [
+        [f"model of fold {k + 1}", shown(value, "no answer"), ""]
+        for k, value in enumerate(check.fold_errors)
+    ]
+    if check.ensemble_error is not None:
+        rows.append(["ensemble", error(check.ensemble_error), ""])
+    for k, start in enumerate(check.starts):
+        name = "refit" if check.kept == k + 1 else "refit, not used"
+        name += f" ({start.failed})" if start.failed else ""
+        rows.append([name, shown(start.value, "no answer"), shown(start.disagreement)])
+    return rows
 
 
-HANDOVER = Section("use", "The model to use", _write_handover)
-
-
-# Measured against simulated outputs, as the sections show them.
-
-
-MOST_PANELS = 6
-"""Maximum number of panels of a section."""
-
-
-def _draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
-    shown = [draw_overlay(problem, one) for one in overlays[:MOST_PANELS]]
-    banded = any(one.band is not None for one in overlays)
-    return join((overlay_legend(banded=banded), tag("div", *shown, class_="grid")))
+HANDOVER = Section("use", "The model to use", _handover)
 
 
 # The sealed test, once it was opened.
 
 
-def _write_tested(subject: Subject) -> Html | None:
+def _tested(subject: Subject) -> dict[str, Any] | None:
     opened = subject.view.unsealed
     if opened is None:
         return None
-    how: Html | None = None
-    if opened.horizon is not None:
-        how = join((" It is scored in windows of ",
-                    subject.number(opened, "horizon", "count"), " samples."))  # fmt: skip
-    elif opened.skip:
-        how = join((" The first ", subject.number(opened, "skip", "count"),
-                    " samples of each record do not count."))  # fmt: skip
-    parts = [tag("p", "This run opened the test records once, after the search had ended.", how)]
     found = final_models(opened)
-    failed = [text for _, text, model in found if not isinstance(model, TestedModel)]
-    models = [(key, text, model) for key, text, model in found if isinstance(model, TestedModel)]
-    if models:
-        parts.append(_test_table(subject, opened, models))
-    if failed:
-        parts.append(tag("p", "No simulation from: ", ", ".join(failed), "."))
-    if models and len(opened.trajectories) > 1:
-        rows = [
-            [
-                said(name),
-                *(
-                    subject.number(opened, f"{key}.scores.0.per_trajectory.{i}", "sig4")
-                    for key, _, _ in models
-                ),
-            ]
-            for i, name in enumerate(opened.trajectories)
-        ]
-        head = ["record", *(text for _, text, _ in models)]
-        parts.append(table(head, rows, "Error on each test record"))
-    named = model_to_use(subject.view)
-    chosen = next((m for m in models if named and m[0] == named.model), None)
-    if chosen is not None and chosen[2].mee is not None:
-        parts.append(_horizons(subject, opened, *chosen))
-    if subject.problem is not None:
-        board = read_board(subject.problem, subject.view)
-        if board.entries and board.standings:
-            parts.append(tag("h3", "Comparison with published results"))
-            parts += [_board(board, index) for index in range(len(board.standings))]
-        if models and opened.horizon is None:
-            overlays = _test_overlays(subject, subject.problem, opened, *(chosen or models[0]))
-            parts.append(_draw_overlays(subject.problem, overlays))
-    return join(parts)
-
-
-def _test_table(
-    subject: Subject, opened: Unsealed, models: Sequence[tuple[str, str, TestedModel]]
-) -> Html:
-    """A row for each metric and output, a column for each model."""
-    rows: list[list[str | None]] = []
-    for k, score in enumerate(models[0][2].scores):
-        label = said(find_metric(score.metric).label)
-        paths = [("mean over the outputs", "value")] if len(opened.channels) > 1 else []
-        paths += [(name, f"per_channel.{c}") for c, name in enumerate(opened.channels)]
-        for name, path in paths:
-            places = [f"{key}.scores.{k}.{path}" for key, _, _ in models]
-            values = [subject.number(opened, place, "sig4") for place in places]
-            rows.append([join((label, " ", said(name))), *values])
+    models = {text: (key, m) for key, text, m in found if isinstance(m, TestedModel)}
     named = model_to_use(subject.view)
     use = named.model if named else ""
-    head = ["error", *(f"{text} (to use)" if key == use else text for key, text, _ in models)]
-    return table(head, rows, "Error on the sealed test, in the unit of the output")
+    chosen = next(((text, m) for text, (key, m) in models.items() if key == use), None)
+    boards: list[Any] = []
+    drawn: Markup | None = None
+    if subject.problem is not None:
+        board = read_board(subject.problem, subject.view)
+        boards = [_board(board, k) for k in range(len(board.standings) if board.entries else 0)]
+    if subject.problem is not None and models:
+        text, model = chosen or next((text, m) for text, (_, m) in models.items())
+        title = f"Sealed test: experiment {opened.experiment}"
+        alt = f"Measured outputs of the test and the simulation of the {text}"
+        draw = partial(draw_tested, subject.run, subject.problem, opened, {text: model}, title)
+        drawn = picture(draw, alt)
+    return {
+        "opened": opened,
+        "failed": [text for _, text, m in found if not isinstance(m, TestedModel)],
+        "texts": list(models),
+        "names": [f"{text} (to use)" if key == use else text for text, (key, _) in models.items()],
+        "errors": _test_rows(opened, [m for _, m in models.values()]),
+        "records": _record_rows(opened, [m for _, m in models.values()]),
+        "horizons": None if chosen is None or chosen[1].mee is None else chosen,
+        "boards": boards,
+        "drawn": drawn,
+    }
 
 
-def _horizons(subject: Subject, opened: Unsealed, key: str, text: str, model: TestedModel) -> Html:
-    """Mean Euclidean Errors of the model to use."""
-    assert model.mee is not None
+def _test_rows(opened: Unsealed, models: Sequence[TestedModel]) -> list[list[str]]:
+    """A row for each metric and output, a column for each model."""
     rows: list[list[str]] = []
-    for i, group in enumerate(model.mee.groups):
-        at = f"{key}.mee.groups.{i}.steps"
-        values = [subject.number(opened, f"{at}.{h - 1}", "sig4") for h in model.mee.horizons]
-        total = subject.made("sum", "sig4", (opened, f"{at}.*"))
-        rows.append([said(group.name), *values, total])
-    head = ["outputs", *(said(f"after {h}") for h in model.mee.horizons), "sum"]
-    return table(head, rows, f"Mean Euclidean error after so many samples, {text}")
+    for k, score in enumerate(models[0].scores if models else ()):
+        label, scores = find_metric(score.metric).label, [model.scores[k] for model in models]
+        if len(opened.channels) > 1:
+            means = (FORMATS["sig"](one.value) for one in scores)
+            rows.append([f"{label} mean over the outputs", *means])
+        for c, name in enumerate(opened.channels):
+            values = (FORMATS["sig"](one.per_channel[c]) for one in scores)
+            rows.append([f"{label} {name}", *values])
+    return rows
 
 
-def _board(board: Board, index: int) -> Html:
-    """Published results and ours, the lowest first. They are no events of this ledger, and the
-    official figure is the one above in another unit, so both are quoted."""
+def _record_rows(opened: Unsealed, models: Sequence[TestedModel]) -> list[list[str]]:
+    """The error on each test record; [] for a single one."""
+    if len(opened.trajectories) < 2 or not models:
+        return []
+    return [
+        [name, *(FORMATS["sig"](model.scores[0].per_trajectory[i]) for model in models)]
+        for i, name in enumerate(opened.trajectories)
+    ]
+
+
+def _board(board: Board, index: int) -> tuple[str, list[tuple[str, float, bool, float]]]:
+    """Return the caption, and published results and ours, the lowest first: name, error, whether it
+    is ours, and length of the bar in per cent."""
     ours = board.standings[index]
     entries = [(e.figures[index], e.words) for e in board.entries if index < len(e.figures)]
     rows = [(v, text, False) for v, text in entries if v is not None]
     rows.append((ours.figure.value, "this search, the model to use", True))
     rows.sort(key=lambda row: row[0])
-    bars: list[list[str]] = []
-    for value, text, own in rows:
-        share = f"width:{100 * value / rows[-1][0]:.1f}%"
-        bar = tag("span", class_="bar own" if own else "bar", style=share)
-        bars.append([tag("b", text) if own else said(text), said(f"{value:.4g}"), bar])
-    caption = f"Test error of {ours.figure.name} [{board.unit}]"
-    return table(["result", "error", "error as a bar"], bars, caption)
+    bars = [(text, value, own, 100 * value / rows[-1][0]) for value, text, own in rows]
+    return f"Test error of {ours.figure.name} [{board.unit}]", bars
 
 
-def _test_overlays(
-    subject: Subject, problem: Problem, opened: Unsealed, key: str, text: str, model: TestedModel
-) -> list[Overlay]:
-    store = subject.run.store
-    shapes = [(length, len(opened.channels)) for length in opened.lengths]
-    measured, simulated = (store.get_arrays(one, shapes) for one in (opened.measured, model.y_hat))
-    bands = [None] * len(shapes)
-    if opened.bands is not None and opened.bands.model == key:
-        edges = (store.get_arrays(one, shapes) for one in (opened.bands.lower, opened.bands.upper))
-        bands = list(zip(*edges, strict=True))
-    return [
-        Overlay(
-            title=join((said(name), ", ", text)),
-            alt=f"Test record {name}",
-            channel=channel,
-            first=problem.protocol.past,
-            measured=measured[i],
-            simulated=simulated[i],
-            skip=opened.skip,
-            band=bands[i],
-        )
-        for i, name in enumerate(opened.trajectories)
-        for channel in range(len(problem.outputs))
-    ]
-
-
-TESTED = Section("test", "The sealed test", _write_tested)
+TESTED = Section("test", "The sealed test", _tested)
 
 
 # The best candidate on the data that it was not fitted to.
 
 
-def _write_accuracy(subject: Subject) -> Html | None:
-    best, problem = subject.view.best, subject.problem
-    if best is None or (problem is not None and problem.control is not None):
+def _accuracy(subject: Subject) -> dict[str, Any] | None:
+    best = subject.view.best
+    if best is None or best.score is None or subject.is_control:
         return None
-    text = (
-        "Each fold of the cross-validation held out a part of the training records. Its model "
-        "simulated that part from its start, and received no measured output after the start."
-    )
-    overlays = held_out_overlays(subject, best)
-    drawn = _draw_overlays(problem, overlays) if problem is not None and overlays else None
-    return join((tag("p", text), _accuracy_table(subject, best), drawn))
+    head, rows = _accuracy_table(subject, result_of(best), best.score)
+    return {"head": head, "rows": rows, "drawn": draw_held_out(subject, best)}
 
 
-def _accuracy_table(subject: Subject, best: Experiment) -> Html:
-    result, score, metric = result_of(best), best.score, find_metric(subject.run.metric)
-    assert score is not None
+def _accuracy_table(
+    subject: Subject, result: Evaluated, score: Score
+) -> tuple[list[str], list[list[str]]]:
+    metric, started = find_metric(subject.run.metric), subject.view.started
     # Of many outputs the errors of each would not fit.
-    outputs = subject.view.started.outputs if len(subject.view.started.outputs) <= 4 else ()
-    head = ["fold", "V", *(join((said(metric.label), " ", said(name))) for name in outputs)]
+    outputs = started.outputs if len(started.outputs) <= 4 else ()
+    head = ["fold", "V", *(f"{metric.label} {name}" for name in outputs)]
     head += ["lowest fit index", "scaled error on its training data", "duration of the fit [s]"]
-    field = metric.name if metric.name in ("rmse", "mae") else "other"
     rows: list[list[str]] = []
-    for k, fold in enumerate(score.folds):
-        at = f"outcome.folds.{k}"
-        fits = [
-            (result, f"{at}.fit_index.{c}") for c, f in enumerate(fold.fit_index) if f is not None
-        ]
+    for k, (fold, evidence) in enumerate(zip(score.folds, result.folds, strict=True)):
+        errors = fold.per_channel(metric.name)[: len(outputs)]
+        # The block says nothing that the samples do not.
+        name = re.sub(r"^block \d+ of \d+: (?=samples)", "", "".join(started.folds[k : k + 1]))
         rows.append([
-            _fold_name(subject, k),
-            subject.number(result, f"{at}.value", "error"),
-            *(subject.number(result, f"{at}.{field}.{c}", "sig4") for c in range(len(outputs))),
-            subject.made("least", "percent", *fits) if fits else "none",
-            subject.number(result, f"folds.{k}.diagnostics.train_error", "error"),
-            subject.number(result, f"folds.{k}.fit_seconds", "sig3"),
+            f"{k + 1}: {name}" if name else f"{k + 1}",
+            FORMATS["error"](fold.value),
+            *map(FORMATS["sig"], errors),
+            "none" if fold.worst_fit is None else FORMATS["percent"](fold.worst_fit),
+            FORMATS["error"](evidence.diagnostics.train_error),
+            FORMATS["sig"](evidence.fit_seconds, 3),
         ])  # fmt: skip
-    return table(head, rows, "The best candidate on each fold")
+    return head, rows
 
 
-def _fold_name(subject: Subject, fold: int) -> Html:
-    names = subject.view.started.folds
-    number = tag("span", f"{fold + 1}", class_="fixed")
-    if fold >= len(names):
-        return number
-    # The block says nothing that the samples do not.
-    return join((number, ": ", said(re.sub(r"^block \d+ of \d+: (?=samples)", "", names[fold]))))
+def draw_held_out(subject: Subject, experiment: Experiment) -> Markup | None:
+    """Draw the simulations of an experiment's fold models on their held-out data, a picture for
+    each output and fold; None without a score or the data."""
+    problem = subject.problem
+    if problem is None or experiment.score is None:
+        return None
+    panels, notes = simulation_panels(subject.run, problem, experiment, subject.folds)
+    drawn = [draw_panel(problem, one) for one in panels]
+    return render("panels.html", notes=notes, drawn=drawn)
 
 
-def held_out_overlays(
-    subject: Subject, experiment: Experiment, others: Sequence[tuple[Subject, Experiment]] = ()
-) -> list[Overlay]:
-    """Return the simulations of an experiment's fold models on their held-out data, lowest fit
-    first: the first block of a fold, or its best and its worst window. None without a score or the
-    data.
+def draw_panel(problem: Problem, panel: Panel, alt: str = "", **settings: Any) -> Markup:
+    """Draw one panel as a picture.
 
     Args:
-        others: experiments with a score and with the same folds, whose simulations lie over these
+        alt: what it shows; default: its title.
+        settings: as those of `draw_overlay`.
     """
-    problem, score, folds = subject.problem, experiment.score, subject.folds
-    if problem is None or score is None:
-        return []
-    outputs = fold_outputs(subject.run.store, experiment.folds, folds)
-    beside = [fold_outputs(other.run.store, e.folds, folds) for other, e in others]
-    overlays: list[Overlay] = []
-    for channel in lowest(worst_fits(score), max(1, MOST_PANELS // len(folds))):
-        for k, (fold, y_hat) in enumerate(zip(folds, outputs, strict=True)):
-            chosen = [("", 0)]
-            if problem.protocol.kind == "windows":
-                found = representative_windows(
-                    [block.y for block in fold.held_out], y_hat, fold.scale
-                )
-                chosen = [(f"{word} window of ", i) for word, i in found if word != "median"]
-            for what, index in chosen:
-                block = fold.held_out[index]
-                overlays.append(
-                    Overlay(
-                        title=join((f"{what}fold ", _fold_name(subject, fold.index))),
-                        alt=f"{what}fold {fold.index + 1}",
-                        channel=channel,
-                        first=block.start,
-                        measured=block.y,
-                        simulated=y_hat[index],
-                        others=tuple(each[k][index] for each in beside),
-                    )
-                )
-    return overlays
+    settings = {**overlay_names(problem), **settings}
+    alt = f"{alt or panel.title}: measured and simulated {panel.signal.name}"
+    draw = partial(draw_overlay, [panel], problem.sampling_time, "", **settings)
+    return picture(draw, alt, PANEL)
 
 
-ACCURACY = Section("accuracy", "Accuracy", _write_accuracy)
+ACCURACY = Section("accuracy", "Accuracy", _accuracy)

@@ -1,0 +1,94 @@
+"""Templates of pages: values are escaped, and numbers go through formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from asia._files import PACKAGE
+from asia._text import one_line, printable
+from asia._timer import duration
+from asia.judge.scoring.repeated_fits import Interval
+from asia.ledger.text import error_value
+from asia.report.drawing.inline import PANEL, WIDE, svg_of
+from asia.report.page.code import python
+from asia.report.page.formulas import equations
+
+_FOLDER: Final = PACKAGE / "report" / "page" / "templates"
+
+
+def _signed_error(value: float) -> str:
+    return f"{value:+.4f}" if 5e-5 <= abs(value) < 1e4 or value == 0 else f"{value:+.1e}"
+
+
+def _interval(found: Interval, form: str) -> str:
+    value, low, high = (FORMATS[form](v) for v in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
+
+
+FORMATS: Final[dict[str, Callable[..., str]]] = {
+    "error": error_value,
+    "sig": lambda v, digits=4: f"{v:.{digits}g}",
+    "signed": lambda v: f"{v:+.3f}",
+    "fixed": lambda v: f"{v:.2f}",
+    "percent": lambda v: f"{v:.1f} %",
+    "share": lambda v: f"{100 * v:.1f} %",
+    "signed_share": lambda v: f"{100 * v:+.1f} %",
+    "signed_error": _signed_error,
+    "times": lambda v: f"{v:.2g}" if v < 100 else f"{v:.0f}",
+    "number": lambda v: f"#{v:02d}",
+    "duration": duration,
+    "dollars": lambda v: f"{v:.4f} USD",
+    "interval": _interval,
+    "line": one_line,
+}
+"""Filters of the templates, all from a value to a text."""
+
+
+def environment(*folders: Path) -> Environment:
+    """Return the templates of folders and those of the report. A text is escaped and loses its
+    control characters; None is an empty text; a name that a template does not receive is an
+    error."""
+    found = Environment(
+        loader=FileSystemLoader([*folders, _FOLDER]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_finalized,
+    )
+    found.filters.update(FORMATS)
+    functions: dict[str, Any] = {"equations": equations, "python": python}
+    found.globals.update(functions)
+    return found
+
+
+def _finalized(value: Any) -> Any:
+    if value is None:
+        return ""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+_REPORT: Final = environment()
+
+
+def render(template: str, **values: Any) -> Markup:
+    """Fill a template of the report."""
+    return Markup(_REPORT.get_template(template).render(values))
+
+
+def picture(draw: Callable[[], Figure], alt: str, width: float = WIDE) -> Markup:
+    """Draw a picture, as wide as the page unless `width` in inches says otherwise; a wide one
+    scrolls sideways where the page is narrow. alt: the picture in words."""
+    svg = Markup(svg_of(draw, alt, width))
+    return render("picture.html", svg=svg, alt=alt, is_wide=width != PANEL)
+
+
+def page_style() -> str:
+    """The style sheet of the pages."""
+    return (PACKAGE / "report" / "page" / "page.css").read_text("utf-8")
