@@ -13,10 +13,10 @@ from typing import Any, Final
 from markupsafe import Markup
 
 from asia._text import one_line
+from asia.agents.expert_result import expert_result
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Noted
-from asia.ledger.run import control
 from asia.ledger.text import error_line, phase_text
 from asia.ledger.view import Experiment
 from asia.problem.problem import is_described
@@ -203,7 +203,7 @@ def progress_figure(subject: Subject) -> Markup:
     """V of each experiment as a picture."""
     run, view = subject.run, subject.view
     alt = "V of each experiment with the best so far as a step line"
-    beside = control(run.directory, view.started, len(view.finished))
+    beside = expert_result(run.directory, view.started, len(view.finished))
     return picture(partial(draw_progress, view, run.metric, beside), alt)
 
 
