@@ -16,6 +16,7 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.simulated import fold_outputs
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
@@ -61,11 +62,11 @@ def test_the_loop_is_that_of_plant_and_controller(problem: Problem, evaluator: E
     found = evaluator.evaluate(PI)
     assert isinstance(found.outcome, Score)
     expected = expected_responses(problem)
-    for fold, result in zip(evaluator.data.folds, found.folds, strict=True):
-        for block, y_hat in zip(fold.held_out, result.y_hat, strict=True):
+    simulated = fold_outputs(found.artifacts, found.folds, evaluator.data.folds)
+    for fold, each, findings in zip(evaluator.data.folds, simulated, found.findings, strict=True):
+        for block, y_hat in zip(fold.held_out, each, strict=True):
             assert np.allclose(y_hat, expected[block.record], rtol=0, atol=1e-12)
-        assert result.findings is not None
-        assert dict(result.findings.parameters) == {"gain": 1.0}
+        assert dict(findings.parameters) == {"gain": 1.0}
     # V: RMSE over the tolerance, mean over the signals, then over the folds.
     parts = [
         np.mean(
@@ -83,10 +84,10 @@ def test_the_loop_is_that_of_plant_and_controller(problem: Problem, evaluator: E
 
 def test_every_scenario_begins_with_a_fresh_controller(evaluator: Evaluator) -> None:
     first = evaluator.evaluate(PI)
-    record, folds = first.folds[0], evaluator.data.folds
-    model = first.artifacts.get(record.model)
+    folds = evaluator.data.folds
+    model = first.artifacts.get(first.folds[0].model)
     again = evaluator.models.simulate(PI, [model], [b for f in folds for b in f.held_out])
-    y_hat = first.artifacts.get_arrays(record.y_hat, folds[0].shapes)
+    y_hat = fold_outputs(first.artifacts, first.folds, folds)[0]
     assert np.array_equal(again[0][0], y_hat[0])
 
 
@@ -112,8 +113,8 @@ def test_inputs_beyond_the_limits_are_clipped(problem: Problem, evaluator: Evalu
     source = PI.replace("return self.integral + self.k * error", "return 1e9")
     found = evaluator.evaluate(source)
     assert isinstance(found.outcome, Score)
-    for result in found.folds:
-        for y_hat in result.y_hat:
+    for each in fold_outputs(found.artifacts, found.folds, evaluator.data.folds):
+        for y_hat in each:
             u = 1.0 + np.cumsum(y_hat[:, 1])
             # One unit a second, and the upper limit.
             assert u[:3].tolist() == [2.0, 3.0, 3.0]
@@ -195,8 +196,8 @@ def test_a_controller_finds_neither_future_nor_plant(
         source += "\nPLANTED = [np.arange(60.0)]\n"
     found = evaluator.evaluate(source)
     assert isinstance(found.outcome, Score), found.outcome
-    for result in found.folds:
-        for y_hat in result.y_hat:
+    for each in fold_outputs(found.artifacts, found.folds, evaluator.data.folds):
+        for y_hat in each:
             assert bool(y_hat[:, 1].any()) == finds
 
 

@@ -28,11 +28,11 @@ from asia.models.methods import Adam
 from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
 from asia.search.run import search_context
-from tests.unit.models.systems.black_box import Segment, case, filtered, late, two_by_two, wiener
+from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two, wiener
 
 
 def fitted(
-    config: neural_ss.Config, data: Segment, method: LevenbergMarquardt | Adam
+    config: neural_ss.Config, data: Case, method: LevenbergMarquardt | Adam
 ) -> neural_ss.NeuralStateSpace:
     model = neural_ss.build(config, data.context)
     return neural_ss.train(model, data.training, data.context, method)
