@@ -28,6 +28,11 @@ def _omitted(default: object) -> Any:
     return Field(exclude_if=lambda value: value == default)
 
 
+def _named(*names: str) -> Any:
+    """A field with its name and those that it had in older ledgers."""
+    return Field(validation_alias=AliasChoices(*names))
+
+
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _FailedChecks = Annotated[tuple[str, ...], _omitted(())]
 
@@ -42,14 +47,15 @@ class Fit:
     records. A repetition is fitted on one fold, with the seed of the first fit.
     """
 
-    seed: int
-    """Number of the seed; 0 is that of the search."""
-    purpose: Literal["retest", "confirmation", "ablation", "refit", "repetition"]
-    value: _Finite | None = None
+    seed: int = 0
+    """Number of the seed; 0 is that of the search, and stands for any in older ledgers."""
+    purpose: Literal["retest", "confirmation", "ablation", "refit", "repetition"] = "retest"
+    """As where it is recorded; older ledgers say `retest` of all."""
+    value: Annotated[_Finite | None, _named("value", "error", "ratio")] = None
     """V; of a refit its error on the training records in the metric of V, of a repetition its error
     over that of the first fit. None where there is none."""
     folds: Annotated[tuple[_Finite, ...], _omitted(())] = ()
-    failed: Annotated[str, _omitted("")] = ""
+    failed: Annotated[str, _omitted(""), _named("failed", "objection")] = ""
     """Why it is not used; "" where nothing speaks against it."""
     experiment: Annotated[int, _omitted(0)] = 0
     """The candidate, of a confirmation."""
@@ -481,9 +487,7 @@ class Evaluated:
     """Profile of the time since the last event with a profile; () in older ledgers."""
     retests: tuple[Fit, ...] = ()
     """Its fits from other seeds; () where it was not about to be kept."""
-    threshold: Annotated[
-        float | None, Field(validation_alias=AliasChoices("threshold", "floor"))
-    ] = None
+    threshold: Annotated[float | None, _named("threshold", "floor")] = None
     """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     lowest: bool = False
     """True if V of the first fit was the lowest so far and its model passed the checks of a final

@@ -1,9 +1,11 @@
-"""Settings that searches of older versions had: a ledger that has one is refused."""
+"""Ledgers of older versions: what is read, and settings that are refused."""
 
 import pytest
+from pydantic import TypeAdapter
 
 from asia.errors import UserError
 from asia.ledger.chain import BEGIN, decode, encode
+from asia.ledger.events import Fit
 
 from .conftest import started
 
@@ -27,3 +29,17 @@ def test_a_change_of_the_agent_is_refused() -> None:
     raw = encode(BEGIN, started()).replace(b'"event":"started"', b'"event":"handed_over"')
     with pytest.raises(UserError, match="event 0 was written by another version of ASIA"):
         decode(raw, 0, "old")
+
+
+@pytest.mark.parametrize(
+    ("older", "value", "failed"),
+    [
+        ({"value": 0.2, "folds": [0.2, 0.2], "same": False, "seconds": 1.0}, 0.2, ""),
+        ({"failed": "crash", "seconds": 1.0}, None, "crash"),
+        ({"error": 0.3, "disagreement": 0.1, "objection": "it diverged"}, 0.3, "it diverged"),
+        ({"fold": 2, "ratio": 1.0, "failed": ""}, 1.0, ""),
+    ],
+)
+def test_a_further_fit_is_read(older: dict[str, object], value: float | None, failed: str) -> None:
+    found = TypeAdapter(Fit).validate_python(older)
+    assert (found.value, found.failed) == (value, failed)
