@@ -165,7 +165,7 @@ def test_a_path_ends_where_the_error_rose_twice(
 @pytest.mark.slow
 def test_a_search_scores_the_variant_it_names(tmp_path: Path) -> None:
     # The third is what the second one chooses.
-    stated = variants_of(OPEN.source(""), {}, values=(1e-2,))["ridge 0.01"]
+    stated = variants_of(OPEN.source(""), {}, values=(1e-3,))["ridge 0.001"]
     directory = search_toy(tmp_path, OPEN.source(""), stated)
     run = open_run(directory)
     _, opened, fixed = run.view.experiments
