@@ -8,7 +8,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.data.segment import SimulatedSegment
+from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers
 from asia.lowering.evaluation import simulate
 from asia.lowering.program import LoweredModel
@@ -32,7 +33,7 @@ class JsonTarget:
         program = base64.b64encode(pack(model.lowered)).decode()
         return Printed({_FILE: json.dumps({**model.facts(), "program": program}).encode()})
 
-    def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
+    def run(self, folder: Path, windows: Sequence[SimulatedSegment]) -> list[Answers] | str:
         """Simulate each window with the program in the file."""
         packed = json.loads((folder / _FILE).read_text())["program"]
         model = unpack(base64.b64decode(packed))
