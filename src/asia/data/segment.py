@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -40,7 +40,8 @@ class Segment:
 
     def simulated(self, y_hat: Array) -> SimulatedSegment:
         """Return the segment with its simulated outputs (H, ny)."""
-        return SimulatedSegment(**vars(self), y_hat=y_hat)
+        parts = {one.name: getattr(self, one.name) for one in fields(Segment)}
+        return SimulatedSegment(**parts, y_hat=y_hat)
 
 
 @dataclass(frozen=True)
