@@ -53,7 +53,7 @@ class Attacked:
         return score
 
     def ask(self, outputs: Outputs) -> tuple[bool, tuple[float, ...]]:
-        """Whether it is a new best, and what is told of V of each fold."""
+        """Whether it is a new best, and the V of each fold that an agent sees."""
         score = self.true(outputs)
         new_best, self.lowest = score.value < self.lowest, min(score.value, self.lowest)
         numbers = [fold.value for fold in score.folds]
