@@ -310,8 +310,7 @@ def _bare(source: str, fold: Fold, context: Context, rule: ProtocolRule) -> floa
     exec(source, module.__dict__)
     model = module.fit(fold.train, context)
     for block in (*fold.held_out, *whole(fold.train, rule)):
-        case = block
-        model.simulate(case.past_u[None], case.past_y[None], case.u[None])
+        model.simulate(block.past_u[None], block.past_y[None], block.u[None])
     return time.perf_counter() - begin
 
 

@@ -200,8 +200,7 @@ def tanks() -> list[Benchmark]:
 
         def error(model: Model, fold: Any = fold) -> float:
             block = fold.held_out[0]
-            case = block
-            y = model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
+            y = model.simulate(block.past_u[None], block.past_y[None], block.u[None])[0]
             return float(np.mean(np.sqrt(np.mean((y - block.y) ** 2, axis=0)) / fold.scale))
 
         result.append(Benchmark(fold.train, context, error))

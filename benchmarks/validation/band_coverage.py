@@ -138,8 +138,7 @@ def fitted(problem: Problem, test: Sequence[Trajectory], source: str) -> Fitted:
 
 def answer(model: Any, block: Segment) -> Array:
     """Simulation (H, ny) of one block."""
-    case = block
-    return model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
+    return model.simulate(block.past_u[None], block.past_y[None], block.u[None])[0]
 
 
 def on_test(found: Fitted) -> tuple[Array, Array]:

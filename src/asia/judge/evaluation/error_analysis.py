@@ -72,15 +72,15 @@ def windows(
     only the first window of each block, which starts as the evaluator's simulation does."""
     cut: list[tuple[Array, ...]] = []
     for block, simulated in zip(blocks, y_hat, strict=True):
-        case, y = block, without_gaps(block.y, simulated)
-        u, all_y = np.concatenate([case.past_u, case.u]), np.concatenate([case.past_y, y])
-        nu, ny = len(case.past_u), len(case.past_y)
+        y = without_gaps(block.y, simulated)
+        u, all_y = np.concatenate([block.past_u, block.u]), np.concatenate([block.past_y, y])
+        nu, ny = len(block.past_u), len(block.past_y)
         early = np.concatenate([np.repeat(u[:1], _DELAYS[-1], 0), u])
         for k in range(0, 1 if first else len(y) - length + 1, length):
             before = early[k + nu : k + nu + _DELAYS[-1]]
             own = slice(k, k + length)
             cut.append(
-                (u[k : k + nu], all_y[k : k + ny], case.u[own], y[own], simulated[own], before)
+                (u[k : k + nu], all_y[k : k + ny], block.u[own], y[own], simulated[own], before)
             )
     chosen = spread(cut, max(1, _MOST_SAMPLES // length))
     return Windows(*(np.stack(parts) for parts in zip(*chosen, strict=True)))

@@ -184,11 +184,11 @@ def known_system(problem: Problem) -> KnownSystem:
 def search_context(problem: Problem, seed: int) -> Context:
     """Return the context of a search with this derived seed, without the fields that differ by
     fold."""
-    known = known_system(problem)
+    system = known_system(problem)
     if problem.control is not None:
         # The plant of a control problem, as for its identification.
         plant = known_system(replace(problem.control.base, plant=None))
-        known = replace(plant, control=known.control)
+        system = replace(plant, control=system.control)
         problem = problem.control.base
     kept = problem.preprocess
-    return Context(**known.known(), detrend=kept.detrend, scale=kept.scale, seed=seed)
+    return Context(**system.known(), detrend=kept.detrend, scale=kept.scale, seed=seed)

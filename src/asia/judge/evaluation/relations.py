@@ -376,11 +376,10 @@ def look_ahead(
     excess: list[float] = []
     free: list[float] = []
     for block, simulated in zip(blocks, y_hat, strict=True):
-        case = block
-        if len(case.u) <= SHORT:
+        if len(block.u) <= SHORT:
             continue
         errors = np.nanmean(((simulated - filled(block.y)) / scale) ** 2, axis=1)
-        ends = chunk_ends(case.past_u[None], case.past_y[None], case.u[None], secret)
+        ends = chunk_ends(block.past_u[None], block.past_y[None], block.u[None], secret)
         chunks = [errors[a:b] for a, b in pairwise([0, *ends])]
         for chunk, later in pairwise(chunks):
             if len(chunk) > 1 and len(later) > 1:

@@ -97,8 +97,8 @@ def simulate_each(
     """
     groups: dict[object, list[int]] = {}
     for i in order:
-        case = blocks[i]
-        size = len(case.past_u), len(case.past_y), len(case.u)
+        block = blocks[i]
+        size = len(block.past_u), len(block.past_y), len(block.u)
         groups.setdefault(size if together else i, []).append(i)
     found: dict[int, Array] = {}
     for group in groups.values():

@@ -141,8 +141,7 @@ def test_no_model_is_kept_that_is_lost_from_the_states_of_past_windows() -> None
     model = neural_ss.build(neural_ss.Config(delay=None, past_fit=True), context)
     model = neural_ss.train(model, fold.train, context, LevenbergMarquardt(60, starts=2))
     for block in whole(fold.train, problem.protocol):
-        case = block
-        y = model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
+        y = model.simulate(block.past_u[None], block.past_y[None], block.u[None])[0]
         assert (np.sqrt(((y - block.y) ** 2).mean(axis=0)) < 0.5 * block.y.std(axis=0)).all()
 
 

@@ -99,8 +99,7 @@ def test_cases_stay_inside_the_training_ranges(seed: int, inputs: int, horizon: 
     rule = ProtocolRule(past_inputs=3, past_outputs=2, horizon=horizon)
     cases = stress_cases(records, rule, seed)
     every = np.concatenate([record.u for record in records])
-    for block in cases:
-        case = block
+    for case in cases:
         assert len(case.u) == (82 if horizon is None else HORIZONS * horizon)
         assert case.past_u.shape == (3, inputs)
         assert case.past_y.shape == (2, 1)
