@@ -243,8 +243,8 @@ def choose_model(errors: Mapping[Use, Array], why_no_refit: str = "") -> ModelTo
         f"{_KINDS[name]} {error_value(float(e.mean()))}" for name, e in errors.items()
     )
     reason = (
-        f"Errors on held-out records: {shown}. It is the simplest within one standard error of the "
-        "least."
+        f"Errors on parts of the held-out records: {shown}. It is the simplest within one "
+        "standard error of the least."
     )
     return ModelToUse(use, f"{_sentence(why_no_refit)} {reason}" if why_no_refit else reason)
 

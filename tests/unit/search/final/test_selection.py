@@ -64,7 +64,7 @@ def test_the_simplest_model_within_one_standard_error_is_used(
 ) -> None:
     chosen = choose_model(errors)
     assert chosen.model == use
-    assert "Errors on held-out records" in chosen.reason
+    assert "Errors on parts of the held-out records" in chosen.reason
 
 
 def test_without_a_refit_the_reason_says_why() -> None:
