@@ -151,8 +151,6 @@ COMMANDS: tuple[tuple[str, str | None, tuple[int, ...]], ...] = (
     ("agent check --base-url none --model none --steps 1", None, REFUSED),
     ("agent try --dir problem --dry-run", None, REFUSED),
     ("try --dir problem --dry-run", None, REFUSED),
-    ("bench paper named", None, REFUSED),
-    ("bench suite --only named", None, REFUSED),
     ("bench agents named", None, REFUSED),
     ("doctor", None, DONE),
     ("models arx --problem named", None, REFUSED),

@@ -10,7 +10,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
-from asia.report.comparison import ArmCurves, ArmsPicture, Curve
 from asia.report.drawing.inline import PANEL, WIDE, svg_of
 from asia.report.drawing.style import drawing, plot_line, thinned
 from asia.report.pictures.experiments import (
@@ -23,15 +22,15 @@ from asia.report.pictures.experiments import (
     front_of,
     without_pauses,
 )
-from asia.report.pictures.progress import draw_arms
+from asia.report.pictures.progress import draw_comparison
 
 
 def test_searches_are_lines_of_their_own() -> None:
-    sides = [ArmCurves(f"search {k}", (Curve((1.0, 0.5)),)) for k in range(9)]
+    searches = {f"search {k}": [[1.0, 0.5]] for k in range(9)}
     with drawing():
-        (axes,) = draw_arms(ArmsPicture("best", "", tuple(sides), (), "rmse")).axes
+        (axes,) = draw_comparison(searches, {}, "rmse", "").axes
     named = [line for line in axes.get_lines() if str(line.get_label()).startswith("search")]
-    assert len({(line.get_color(), line.get_linestyle()) for line in named}) == len(sides)
+    assert len({(line.get_color(), line.get_linestyle()) for line in named}) == len(searches)
 
 
 def test_nothing_has_less_of_both_than_a_point_of_the_front() -> None:

@@ -93,7 +93,7 @@ app = _group(
 )
 app.info.name = "asia"
 agent_app = _group("Connect a coding agent or a language model, or work by hand in a workspace.")
-bench_app = _group("Run benchmarks: the paper's, the suite, or agents compared.")
+bench_app = _group("Compare agents.")
 
 MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "init": init.init,
@@ -133,8 +133,6 @@ _AGENT: dict[str, Callable[..., None]] = {
     "check": _agent.llm_check,
 }
 _BENCH: dict[str, Callable[..., None]] = {
-    "paper": _bench.paper,
-    "suite": _bench.suite,
     "agents": _bench.compare_agents,
 }
 _BRIEF_HELP = {
@@ -263,8 +261,7 @@ def spread(words: list[str]) -> list[str]:
     known = {
         "init": init.LISTS,
         "validate": ("--columns",),
-        "bench paper": _bench.LISTS,
-        "bench agents": _bench.COMPARE_LISTS,
+        "bench agents": _bench.LISTS,
     }
     lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2])) or ()
     for name, first, second in zip(words, words[1:], words[2:], strict=False):

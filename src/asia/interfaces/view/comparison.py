@@ -19,12 +19,11 @@ from asia.ledger.run import model_to_use
 from asia.ledger.text import error_value
 from asia.ledger.view import Experiment
 from asia.problem.problem import Problem
-from asia.report.comparison import ArmCurves, ArmsPicture, Curve
 from asia.report.page.render import picture
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of
 from asia.report.page.sections.verdict import draw_panel, stamp, tested_figure
 from asia.report.page.subject import Subject, decimals_of
-from asia.report.pictures.progress import draw_arms
+from asia.report.pictures.progress import draw_comparison
 from asia.report.pictures.simulation import Panel, simulation_panels
 
 _MOST_CHOICES = 40
@@ -97,13 +96,9 @@ def comparison_part(compared: Sequence[Compared]) -> Markup:
         warning = "V was computed under different rules in the runs: do not compare it."
     curves = None
     if len(subjects) > 1:
-        sides = tuple(
-            ArmCurves(one.run.name, (Curve(tuple(e.value for e in one.view.finished)),))
-            for one in subjects
-        )
-        title = "Best V so far over the experiments"
-        arms = ArmsPicture("best", title, sides, (), subjects[0].run.metric)
-        curves = picture(partial(draw_arms, arms), title)
+        found = {one.run.name: [[e.value for e in one.view.finished]] for one in subjects}
+        title, metric = "Best V so far over the experiments", subjects[0].run.metric
+        curves = picture(partial(draw_comparison, found, {}, metric, title), title)
     chosen = [(one, e) for one in compared for e in one.experiments]
     costs = [
         [cost_of(one.subject, e, k) if e.result else None for k in range(len(COSTS))]

@@ -1,8 +1,8 @@
-"""A benchmark of the suite on made-up files of the published layout: checked, then searched."""
+"""Public benchmarks on made-up files of the published layout: checked, searched, opened."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partialmethod
 from pathlib import Path
@@ -12,14 +12,31 @@ import pytest
 from asia.agents import AgentView, Proposal
 from asia.agents.expert.agent import ExpertAgent
 from asia.data.sources import Channels, Source, SourceData, Subset
+from asia.data.sources.official import PublishedFile
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
 from tests.official_data import WRITERS
 from tests.unit.interfaces.cli.conftest import command_line
-from tests.unit.painting import painted
+from tests.unit.painting import painted, unpainted
 
 # Of all records that a search has, and of each at least, which is more than a past window.
 SAMPLES, LEAST = 2000, 160
+
+
+@pytest.fixture(scope="module", autouse=True)
+def unpainted_pictures() -> Iterator[None]:
+    with unpainted():
+        yield
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of made-up files, which no digest refuses."""
+    monkeypatch.setenv("ASIA_DATA_DIR", str(tmp_path / "data"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(PublishedFile, "is_digest", lambda self, found: True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "data"
 
 
 class Brisk(ExpertAgent):
@@ -43,8 +60,17 @@ def first_samples(
     return replace(found, trajectories=tuple(t[:few] for t in found.trajectories), truth=truth)
 
 
-def check_and_search(
-    name: str, files: Path, monkeypatch: pytest.MonkeyPatch, experiments: int = 4
+# Of the last two, an experiment takes two minutes: the baseline and one more.
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "experiments"),
+    [
+        ("ced", 4), ("emps", 4), ("bouc_wen", 4), ("silverbox", 4), ("wiener_hammerstein", 4),
+        ("f16", 4), ("fine_steering_mirror", 2), ("parallel_wiener_hammerstein", 2),
+    ],
+)  # fmt: skip
+def test_each_is_checked_searched_and_opened(
+    name: str, experiments: int, files: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The whole files are checked; the search has the start of each record, to be quick."""
     if name in WRITERS:
@@ -63,3 +89,10 @@ def check_and_search(
     assert view.best.score is not None
     assert view.best.score.value < 0.9
     assert view.unsealed is None
+    if name == "ced":
+        opened = command_line("unseal", ready.directory, "--yes", "--yes-process")
+        assert opened.code == 0, opened.err
+        lines = opened.out.splitlines()
+        assert lines[-1].startswith("submit   RMSE [")
+        for figure in ("low", "high"):
+            assert any(line.startswith(f"official {figure}") for line in lines)
