@@ -27,8 +27,8 @@ from asia.ledger.chain import write_whole
 from asia.ledger.events import Event, TestedModel, Unsealed
 from asia.ledger.looks import later_words
 from asia.ledger.run import open_run
-from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.table import error_value
 from asia.problem.metrics import MEE, find_metric, metric_label
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping, ShownResidual

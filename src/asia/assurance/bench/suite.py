@@ -18,7 +18,7 @@ from asia.assurance.bench.comparison import (
 from asia.errors import UserError
 from asia.ledger.chain import write_whole
 from asia.ledger.run import open_run
-from asia.ledger.text import error_value
+from asia.presentation.table import error_value
 from asia.problem.load import load_problem
 from asia.report.files import draw_all_boards
 from asia.report.published import Board, read_board

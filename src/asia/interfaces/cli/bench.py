@@ -14,7 +14,7 @@ from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, ProblemName, Runs, YesProcess
 from asia.interfaces.cli.output import experiment_line
 from asia.ledger.events import Evaluated
-from asia.ledger.text import error_value
+from asia.presentation.table import error_value
 from asia.problem.protocol import EarlyStopping
 
 if TYPE_CHECKING:
