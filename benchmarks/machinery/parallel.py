@@ -37,8 +37,8 @@ from asia.agents import Agent, AgentView, Proposal, make_agent
 from asia.errors import UserError
 from asia.judge.executors import Executor, make_executor
 from asia.judge.executors.dask import DaskExecutor
-from asia.ledger.text import threshold_text
 from asia.ledger.view import SearchView
+from asia.presentation.experiments import threshold_text
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.search.run import prepare, search

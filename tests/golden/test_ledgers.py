@@ -8,10 +8,10 @@ import pytest
 
 from asia.errors import UserError
 from asia.judge.sandbox.types import Isolation
-from asia.ledger.exports import journal, results_table
 from asia.ledger.index import brief
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
+from asia.presentation.exports import journal, results_table
 from asia.problem.load import load_problem
 from asia.search.run import Prepared, prepare, search
 from asia.search.scores import ScoreCheck

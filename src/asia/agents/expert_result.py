@@ -9,7 +9,7 @@ from asia.errors import UserError
 from asia.ledger.chain import read_lines
 from asia.ledger.events import Started
 from asia.ledger.run import open_run
-from asia.ledger.text import error_value
+from asia.presentation.table import error_value
 
 
 @dataclass(frozen=True)

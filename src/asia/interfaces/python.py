@@ -24,9 +24,9 @@ from asia.judge.scoring.outcome import fit_index
 from asia.ledger.events import Evaluated, Event, Use
 from asia.ledger.evidence import IdentifiedParameter, identified
 from asia.ledger.run import Run, find_run, model_to_use, open_run
-from asia.ledger.text import error_value
 from asia.ledger.verdict import Usability, usability
 from asia.ledger.view import SearchView
+from asia.presentation.table import error_value
 from asia.problem.folds import past_outputs
 from asia.problem.load import load_lock
 from asia.problem.plant import plant_file

@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from asia._text import one_line
 from asia.ledger.run import model_to_use, open_run
-from asia.ledger.text import error_value
+from asia.presentation.table import error_value
 from asia.problem.load import load_lock
 from asia.report.files import png_of
 from asia.report.page.render import render

@@ -11,8 +11,9 @@ from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.evidence import IdentifiedModel, identified
 from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
 from asia.ledger.simulated import final_models
-from asia.ledger.text import error_value, fold_text, parameter_remarks
 from asia.ledger.view import SearchView
+from asia.presentation.parameters import fold_text, parameter_remarks
+from asia.presentation.table import error_value
 from asia.problem.metrics import find_metric, metric_label
 
 _USES = {

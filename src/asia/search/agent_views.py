@@ -21,8 +21,8 @@ from asia.judge.evaluation.findings import known_system, search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.ledger.artifacts import Store
 from asia.ledger.evidence import RunSettings, evidence_of, findings_of
-from asia.ledger.text import evidence_lines
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.evidence import evidence_lines
 from asia.problem.problem import Problem
 from asia.search.rules import phase
 

@@ -13,8 +13,8 @@ from asia.errors import CandidateError, UserError
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, Outcome
 from asia.ledger.run import Run, model_to_use
-from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.table import error_value
 from asia.problem.create import record_csv, save_problem
 from asia.problem.folds import whole
 from asia.problem.load import load_lock, read_records

@@ -38,8 +38,9 @@ from asia.ledger.events import (
 )
 from asia.ledger.evidence import EstimatedModel, findings_of, fold_estimates, put_estimates
 from asia.ledger.run import ModelToUse
-from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.experiments import error_line
+from asia.presentation.table import error_value
 from asia.problem.check import feedback_pairs
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem

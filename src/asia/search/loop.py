@@ -37,10 +37,10 @@ from asia.ledger.events import (
     Steered,
     Stopped,
 )
-from asia.ledger.exports import write_exports
 from asia.ledger.index import refresh
 from asia.ledger.verdict import beats_mean
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.exports import write_exports
 from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
 from asia.search.decision import decide

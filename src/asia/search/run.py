@@ -35,12 +35,12 @@ from asia.judge.sandbox.types import Isolation, Probe
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain, write_whole
 from asia.ledger.events import RESUMABLE, Extended, Resumed, Started
-from asia.ledger.exports import write_exports
 from asia.ledger.folder import check_run_folder
 from asia.ledger.looks import copy_words, look_by_copy
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
+from asia.presentation.exports import write_exports
 from asia.problem.folds import Fold, fold_names, make_folds
 from asia.problem.held_back import GUARD_SHARE
 from asia.problem.load import with_models

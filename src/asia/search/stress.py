@@ -26,9 +26,9 @@ from asia.judge.evaluation.results import RefitModel
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Refitted, Stack, StackMember, StressTest, Use
 from asia.ledger.run import ModelToUse
-from asia.ledger.text import error_value
 from asia.ledger.verdict import BOUNDED, stress_text
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.table import error_value
 from asia.problem.folds import cut
 from asia.problem.protocol import ProtocolRule
 

@@ -22,11 +22,11 @@ from asia.judge.scoring.outcome import Failure, score_fold
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use
-from asia.ledger.exports import write_exports
 from asia.ledger.looks import record_look
 from asia.ledger.run import model_to_use
 from asia.ledger.verification import check_lock, verify
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.exports import write_exports
 from asia.problem.folds import whole
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem

@@ -22,7 +22,7 @@ from asia.agents.llm.prompt import (
 from asia.agents.llm.reply import Answer
 from asia.agents.llm.settings import LlmSettings
 from asia.data import Signal
-from asia.ledger.text import error_line
+from asia.presentation.experiments import error_line
 from asia.problem import Prior
 from asia.testing import check_agent
 

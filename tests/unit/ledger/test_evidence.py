@@ -21,8 +21,8 @@ from asia.ledger.evidence import (
     parameter_spreads,
     shared_residuals,
 )
-from asia.ledger.text import evidence_lines, last_lines, minima_lines, parameter_lines
 from asia.ledger.view import Experiment, SearchView, replay
+from asia.presentation.evidence import evidence_lines, last_lines, minima_lines, parameter_lines
 
 from .conftest import proposed, started
 

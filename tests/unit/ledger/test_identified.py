@@ -20,7 +20,7 @@ from asia.ledger.evidence import (
     put_estimates,
     with_fold_values,
 )
-from asia.ledger.text import identified_lines, identified_object
+from asia.presentation.parameters import identified_lines, identified_object
 
 INF = float("inf")
 

@@ -10,10 +10,10 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import BEGIN, Chain, _line, read_lines
 from asia.ledger.events import Evaluated, Fit, Started, Unsealed, adapter
 from asia.ledger.events import TestedModel as Record
-from asia.ledger.exports import journal, results_table
 from asia.ledger.run import find_run, open_run
-from asia.ledger.text import describe_result
 from asia.ledger.verification import verify
+from asia.presentation.experiments import describe_result
+from asia.presentation.exports import journal, results_table
 from asia.search.run import check_same_search
 
 from .conftest import evaluated, finished_run, proposed, score, started

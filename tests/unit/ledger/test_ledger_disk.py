@@ -17,10 +17,10 @@ from asia.ledger import chain as _lines
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Steered, Stopped
-from asia.ledger.exports import write_exports
 from asia.ledger.index import brief
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
+from asia.presentation.exports import write_exports
 
 
 @contextmanager

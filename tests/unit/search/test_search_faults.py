@@ -14,9 +14,9 @@ from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Proposed
-from asia.ledger.exports import journal
 from asia.ledger.index import index_path
 from asia.ledger.run import open_run
+from asia.presentation.exports import journal
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
 from tests.unit.ledger.conftest import finished_run

@@ -14,9 +14,9 @@ import asia
 from asia.errors import UserError
 from asia.ledger.chain import read_lines
 from asia.ledger.events import Started, adapter
-from asia.ledger.exports import journal, results_table
 from asia.ledger.run import Run, open_run
 from asia.ledger.verification import verify
+from asia.presentation.exports import journal, results_table
 from asia.problem.load import load_problem
 from asia.search.run import prepare, with_early_stopping
 

@@ -26,7 +26,7 @@ from asia.agents.view import AgentView, Facts, Running, Trial
 from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data.frequency import FrequencyRecord
 from asia.data.trajectory import Signal
-from asia.ledger.text import error_line
+from asia.presentation.experiments import error_line
 from asia.problem.metrics import find_metric, metric_label
 from asia.problem.physics import Physics
 from asia.problem.plant import Plant

@@ -38,8 +38,9 @@ from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.chain import write_whole
 from asia.ledger.events import Evaluated, Event
 from asia.ledger.run import open_run
-from asia.ledger.text import describe_result, error_value
 from asia.ledger.view import SearchView
+from asia.presentation.experiments import describe_result
+from asia.presentation.table import error_value
 
 if TYPE_CHECKING:
     from asia.interfaces.workspace.server import (

@@ -16,7 +16,7 @@ from asia.interfaces.cli.options import DEFAULT_RUNS, Json, ProblemName, Runs
 from asia.interfaces.cli.output import experiment_line
 from asia.ledger.chain import write_whole
 from asia.ledger.events import Evaluated
-from asia.ledger.text import error_value
+from asia.presentation.table import error_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

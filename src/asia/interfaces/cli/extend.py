@@ -54,7 +54,7 @@ def extend(
     """
     from asia.agents.leading import LeadingAgent, leading_settings
     from asia.ledger.run import open_run
-    from asia.ledger.text import error_value
+    from asia.presentation.table import error_value
     from asia.search.extension import error_on_record, extended_problem, leading_candidates
 
     options.check()

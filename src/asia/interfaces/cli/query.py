@@ -125,7 +125,7 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
     from asia.agents.library.recipe import read_recipe
     from asia.ledger.events import Noted
     from asia.ledger.run import Run, open_run
-    from asia.ledger.text import decision_text
+    from asia.presentation.experiments import decision_text
 
     opened: dict[str, Run] = {}
     database.executescript(_TABLES)

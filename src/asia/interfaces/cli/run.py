@@ -68,15 +68,11 @@ from asia.ledger.events import (
 )
 from asia.ledger.evidence import identified, incumbent_threshold
 from asia.ledger.run import open_run
-from asia.ledger.text import (
-    error_value,
-    identified_lines,
-    method_note,
-    seed_mean_words,
-    threshold_text,
-)
 from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import SearchView
+from asia.presentation.experiments import method_note, seed_mean_words, threshold_text
+from asia.presentation.parameters import identified_lines
+from asia.presentation.table import error_value
 from asia.problem.metrics import find_metric
 
 if TYPE_CHECKING:

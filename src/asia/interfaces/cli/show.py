@@ -31,16 +31,11 @@ from asia.ledger.evidence import (
 )
 from asia.ledger.looks import seal_words
 from asia.ledger.run import Run, open_run
-from asia.ledger.text import (
-    confirmation_text,
-    describe_result,
-    error_value,
-    evidence_lines,
-    identified_lines,
-    identified_object,
-    phase_text,
-)
 from asia.ledger.view import Experiment
+from asia.presentation.evidence import evidence_lines
+from asia.presentation.experiments import confirmation_text, describe_result, phase_text
+from asia.presentation.parameters import identified_lines, identified_object
+from asia.presentation.table import error_value
 from asia.problem.metrics import metric_label
 
 # Width of the columns that are not of an output.

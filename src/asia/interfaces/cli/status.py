@@ -32,12 +32,8 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.looks import seal_words
 from asia.ledger.run import error_of, metric_of, model_to_use, open_run
-from asia.ledger.text import (
-    method_note,
-    threshold_text,
-    validation_summary,
-)
 from asia.ledger.verdict import alarms, unguarded
+from asia.presentation.experiments import method_note, threshold_text, validation_summary
 from asia.problem.metrics import metric_label
 from asia.search.steering import running_losses
 

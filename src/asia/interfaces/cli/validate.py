@@ -27,7 +27,7 @@ from asia.ledger.events import (
     Fit,
 )
 from asia.ledger.run import open_run
-from asia.ledger.text import error_value
+from asia.presentation.table import error_value
 
 if TYPE_CHECKING:
     from asia.judge.sandbox.types import Isolation

@@ -34,9 +34,9 @@ from asia.interfaces.workspace.server import (
     Submission,
 )
 from asia.judge.scoring.residuals import Diagnostics
-from asia.ledger.exports import journal, results_table
 from asia.ledger.run import Run
-from asia.ledger.text import describe_result
+from asia.presentation.experiments import describe_result
+from asia.presentation.exports import journal, results_table
 from asia.search.agent_views import problem_facts
 
 # Answers of the tools, beside those of the submission server.

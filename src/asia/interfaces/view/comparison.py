@@ -16,8 +16,8 @@ from asia.interfaces.view.followed import Snapshot
 from asia.interfaces.view.pages import zoomable
 from asia.interfaces.view.render import fill, run_address
 from asia.ledger.run import model_to_use
-from asia.ledger.text import error_value
 from asia.ledger.view import Experiment
+from asia.presentation.table import error_value
 from asia.problem.problem import Problem
 from asia.report.page.render import picture
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of

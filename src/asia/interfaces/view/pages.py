@@ -27,9 +27,11 @@ from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.interfaces.view.render import experiments_of, fill, run_address
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import Experiment
+from asia.presentation.evidence import evidence_lines
+from asia.presentation.experiments import decision_text, describe_result
+from asia.presentation.table import error_value
 from asia.report.page.render import picture
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.evidence import (

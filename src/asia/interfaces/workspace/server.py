@@ -44,8 +44,9 @@ from asia.ledger.evidence import ComparedScore, evidence_of, settings_of_run
 from asia.ledger.looks import copy_words, look_by_copy
 from asia.ledger.run import Run, open_run
 from asia.ledger.simulated import SimulatedCases
-from asia.ledger.text import error_line, evidence_lines, last_lines, method_note
 from asia.ledger.view import Experiment
+from asia.presentation.evidence import evidence_lines, last_lines
+from asia.presentation.experiments import error_line, method_note
 from asia.search.agent_views import digest
 from asia.search.dry_runs import dry_run
 from asia.search.simulation import simulated_excerpts

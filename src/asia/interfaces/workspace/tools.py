@@ -53,7 +53,7 @@ from asia.judge.scoring.residuals import (
     with_own_past,
 )
 from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
-from asia.ledger.text import minima_lines
+from asia.presentation.evidence import minima_lines
 from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric

@@ -20,11 +20,11 @@ from asia.interfaces.workspace.server import RunDesk, SocketDesk
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.artifacts import Store
-from asia.ledger.exports import journal, results_table
 from asia.ledger.folder import MARK, link_workspace, linked_workspace, workspace_around
 from asia.ledger.run import open_run
 from asia.ledger.simulated import SimulatedCases
 from asia.ledger.view import SearchView
+from asia.presentation.exports import journal, results_table
 from asia.problem.problem import Problem, training_text
 from asia.report.files import draw_cases
 from asia.search.run import Prepared

@@ -11,43 +11,13 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from asia._files import PACKAGE
-from asia._text import one_line, printable
-from asia._timer import duration
-from asia.judge.scoring.repeated_fits import Interval
-from asia.ledger.text import error_value
+from asia._text import printable
+from asia.presentation.table import FORMATS
 from asia.report.drawing.inline import PANEL, WIDE, svg_of
 from asia.report.page.code import python
 from asia.report.page.formulas import equations
 
 _FOLDER: Final = PACKAGE / "report" / "page" / "templates"
-
-
-def _signed_error(value: float) -> str:
-    return f"{value:+.4f}" if 5e-5 <= abs(value) < 1e4 or value == 0 else f"{value:+.1e}"
-
-
-def _interval(found: Interval, form: str) -> str:
-    value, low, high = (FORMATS[form](v) for v in (found.value, found.low, found.high))
-    return f"{value} ({low} to {high})"
-
-
-FORMATS: Final[dict[str, Callable[..., str]]] = {
-    "error": error_value,
-    "sig": lambda v, digits=4: f"{v:.{digits}g}",
-    "signed": lambda v: f"{v:+.3f}",
-    "fixed": lambda v: f"{v:.2f}",
-    "percent": lambda v: f"{v:.1f} %",
-    "share": lambda v: f"{100 * v:.1f} %",
-    "signed_share": lambda v: f"{100 * v:+.1f} %",
-    "signed_error": _signed_error,
-    "times": lambda v: f"{v:.2g}" if v < 100 else f"{v:.0f}",
-    "number": lambda v: f"#{v:02d}",
-    "duration": duration,
-    "dollars": lambda v: f"{v:.4f} USD",
-    "interval": _interval,
-    "line": one_line,
-}
-"""Filters of the templates, all from a value to a text."""
 
 
 def environment(*folders: Path) -> Environment:

@@ -16,8 +16,8 @@ from asia.errors import UserError
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Noted
 from asia.ledger.run import Run
-from asia.ledger.text import error_decimals, error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.table import error_decimals, error_value
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
 from asia.report.page.render import render

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from asia.ledger.artifacts import Store
-from asia.ledger.exports import journal
 from asia.ledger.run import open_run
+from asia.presentation.exports import journal
 from asia.problem.load import load_problem
 from asia.search.agent_views import KnownTrials, agent_view, problem_facts
 

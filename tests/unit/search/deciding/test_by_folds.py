@@ -14,7 +14,7 @@ from asia.data import Array, Signal, Trajectory
 from asia.judge.evaluation.evaluator import EvaluationData
 from asia.ledger.artifacts import Store
 from asia.ledger.run import open_run
-from asia.ledger.text import decision_text
+from asia.presentation.experiments import decision_text
 from asia.problem.folds import Fold, make_folds
 from asia.problem.protocol import FoldRule, ProtocolRule
 from asia.search.decision import fold_doubt

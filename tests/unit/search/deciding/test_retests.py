@@ -20,8 +20,8 @@ from asia.judge.scoring.outcome import Failure, Score
 from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.ledger.events import Evaluated, Event, Fit, Proposed, ReferenceScored, Started
 from asia.ledger.evidence import incumbent_threshold
-from asia.ledger.text import decision_text, method_note, threshold_text
 from asia.ledger.view import Experiment, SearchView, replay
+from asia.presentation.experiments import decision_text, method_note, threshold_text
 from asia.search.decision import RETEST_LIMIT, Decision, decide
 from asia.search.replay import replay_run
 from tests.unit.search.toy import Scripted, arx, write_problem

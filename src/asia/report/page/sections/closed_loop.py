@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import Any
 
 from asia.judge.evaluation.references import CONTROLLERS
+from asia.presentation.table import FORMATS
 from asia.problem.metrics import find_metric
-from asia.report.page.render import FORMATS
 from asia.report.page.sections.verdict import draw_held_out
 from asia.report.page.subject import Section, Subject
 

@@ -23,9 +23,10 @@ from asia.ledger.evidence import (
     get_curves,
     identified,
 )
-from asia.ledger.text import interval_lines, parameter_remarks
+from asia.presentation.parameters import interval_lines, parameter_remarks
+from asia.presentation.table import FORMATS
 from asia.report.drawing.inline import PANEL
-from asia.report.page.render import FORMATS, picture
+from asia.report.page.render import picture
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.analysis import draw_poles
 from asia.report.pictures.evidence import draw_check

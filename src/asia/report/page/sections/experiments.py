@@ -17,12 +17,13 @@ from asia.agents.expert_result import expert_result
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Noted
-from asia.ledger.text import error_line, phase_text
 from asia.ledger.view import Experiment
+from asia.presentation.experiments import error_line, phase_text
+from asia.presentation.table import FORMATS
 from asia.problem.problem import is_described
 from asia.report.drawing.inline import WIDE, svg_of
 from asia.report.page.code import change
-from asia.report.page.render import FORMATS, picture, render
+from asia.report.page.render import picture, render
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.pictures.experiments import (
     LineageRow,

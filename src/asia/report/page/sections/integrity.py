@@ -9,7 +9,7 @@ from asia._text import one_line
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import GuardLooked
 from asia.ledger.looks import seal_words
-from asia.report.page.render import FORMATS
+from asia.presentation.table import FORMATS
 from asia.report.page.subject import Section, Subject
 
 # The integrity of the search and its cost.

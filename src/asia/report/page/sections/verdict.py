@@ -20,10 +20,11 @@ from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.simulated import final_models
 from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.table import FORMATS
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.report.drawing.inline import PANEL
-from asia.report.page.render import FORMATS, picture, render
+from asia.report.page.render import picture, render
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.pictures.simulation import (
     Panel,

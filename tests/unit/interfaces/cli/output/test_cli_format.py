@@ -9,8 +9,8 @@ from asia.interfaces.cli.show import describe
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Fit, Status
 from asia.ledger.run import open_run
-from asia.ledger.text import error_value
 from asia.ledger.view import Experiment
+from asia.presentation.table import error_value
 from tests.unit.interfaces.cli.conftest import Searched
 
 

@@ -6,13 +6,9 @@ from pathlib import Path
 from asia._text import markdown_line, table_cell
 from asia.judge.scoring.outcome import Score
 from asia.ledger.chain import write_whole
-from asia.ledger.text import (
-    describe_result,
-    error_value,
-    phase_text,
-    seed_mean_words,
-)
 from asia.ledger.view import SearchView
+from asia.presentation.experiments import describe_result, phase_text, seed_mean_words
+from asia.presentation.table import error_value
 
 
 def write_exports(directory: Path, view: SearchView) -> None:

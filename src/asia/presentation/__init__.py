@@ -1,0 +1,1 @@
+"""Tables and sentences of results, the same for the terminal, pages, LaTeX and agents."""

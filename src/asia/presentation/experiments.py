@@ -1,0 +1,177 @@
+"""Experiments of a search in words: result, decision, what is compared with them."""
+
+import re
+from statistics import fmean
+
+from asia._text import one_line
+from asia.judge.scoring.confirmation import Confirmation
+from asia.judge.scoring.repeated_fits import RANKED
+from asia.ledger.events import Evaluated, Phase, Stack, Validated
+from asia.ledger.evidence import incumbent_threshold
+from asia.ledger.view import Experiment, SearchView
+from asia.presentation.table import error_value
+
+
+def confirmation_text(found: Confirmation) -> str:
+    """`gain 34 % in V since #01, 30 % on the guard records (21 to 39 %), 34 % with the folds fitted
+    one by one: confirmed`."""
+    since = f"since #{found.since:02d}" if found.since else "from the training mean"
+    parts = [f"gain {found.gain:.1%} in V {since}"]
+    if found.guard is not None:
+        low, high = found.guard.low, found.guard.high
+        parts.append(f"{found.guard.value:.1%} on the guard records ({low:.1%} to {high:.1%})")
+    if found.sequential is not None:
+        parts.append(f"{found.sequential:.1%} with the folds fitted one by one")
+    if found.detail:
+        parts.append(f"failed where it was asked ({found.detail})")
+    return f"{', '.join(parts)}: {'' if found.confirmed else 'not '}confirmed"
+
+
+_FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
+_PHASES: dict[Phase, str] = {
+    "baseline": "the baseline",
+    "explore": "early in the budget",
+    "refine": "later in the budget",
+}
+
+
+def error_line(error: str, most: int = 300) -> str:
+    """The last line of a failure, with the line of candidate.py that raised it; "" for none."""
+    lines = error.strip().splitlines()
+    if not lines:
+        return ""
+    frames = _FRAME.findall(error)
+    where = f"line {frames[-1]}: " if frames else ""
+    return one_line(f"{where}{lines[-1]}", most)
+
+
+def phase_text(phase: Phase) -> str:
+    """Describe the part of the budget in which an experiment lies."""
+    return _PHASES[phase]
+
+
+def validation_summary(event: Validated) -> str:
+    """`pass 7, doubt 2, fail 1: the residual of level drifts with time`."""
+    counts = f"pass {event.passed}, doubt {event.doubtful}, fail {event.failed}"
+    where = f" on {event.record}" if event.record else ""
+    worst = next((c.sentence for c in event.checks if c.name == event.worst), "")
+    return f"{counts}{where}: {worst}" if worst else f"{counts}{where}"
+
+
+def validation_score_words(result: Evaluated) -> str:
+    """Describe the number of requests of an experiment for its score on the held-out parts."""
+    count = result.validation_scores
+    return f"{count} validation score{'' if count == 1 else 's'}"
+
+
+def seed_mean_words(e: Experiment) -> str:
+    """`mean of 3 seeds 0.1312`, which decides whether its method is kept; "" for a single fit."""
+    values = e.seed_values
+    return f"mean of {len(values)} seeds {error_value(fmean(values))}" if len(values) > 1 else ""
+
+
+def stack_words(stack: Stack) -> str:
+    """`#07 0.62, #03 0.38`: the members and their weights."""
+    return ", ".join(f"#{m.experiment:02d} {m.weight:.2f}" for m in stack.members)
+
+
+def method_note(view: SearchView) -> str:
+    """Explain why the experiment that is handed over is not the incumbent; "" where it is."""
+    best, held = view.best, view.incumbent
+    if best is None or held is None or best.number == held.number:
+        return ""
+    one, other = f"#{best.number:02d}", f"#{held.number:02d}"
+    if best.result is not None and any(retest.failed for retest in best.result.retests):
+        finding = f"a fit of {one} from another seed failed, so {other} remains the incumbent"
+    elif fmean(best.seed_values) > fmean(held.seed_values):
+        finding = f"over several seeds {other} has the lower mean"
+    else:
+        finding = f"{one} and {other} are statistically equal"
+    return f"{finding}; {one} is handed over, because its own fit has the lowest V"
+
+
+def threshold_text(view: SearchView) -> str:
+    """The mean V that a candidate needs in order to be kept; "" where it is not known."""
+    held, threshold = view.incumbent, incumbent_threshold(view)
+    if held is None or threshold is None:
+        return ""
+    values = held.seed_values
+    mean, number = error_value(fmean(values)), f"#{held.number:02d}"
+    if len(values) == 1:
+        return (
+            f"a candidate is kept if its mean V is below {mean}, the V of {number}, by more than "
+            f"its own V varies with the seed; the fits of {number} do not depend on the seed"
+        )
+    text = (
+        f"a candidate is kept if its mean V is more than {threshold:.2g} below {mean}, the mean of "
+        f"{number} over {len(values)} seeds"
+    )
+    if len(values) >= RANKED:
+        lowest = error_value(min(values))
+        text += f", or V of {RANKED} seeds is below {lowest}, the lowest of {number}"
+    return text
+
+
+def describe_result(e: Experiment, view: SearchView) -> str:
+    """Describe a result in one line: V, its folds and repeated fits, or the failure with advice."""
+    result = e.result
+    if result is None:
+        return "being evaluated"
+    text = ""
+    if e.score:
+        folds = ", ".join(error_value(f.value) for f in e.score.folds)
+        inner = view.started.early_stopping == "inner"
+        asked = "" if inner else f", {validation_score_words(result)}"
+        text = f"{view.v_name} = {error_value(e.score.value)} (folds {folds}{asked})"
+        if any(r.same for r in result.retests):
+            text += "; the fit is the same for every seed"
+        else:
+            values = [r.failed if r.value is None else error_value(r.value) for r in result.retests]
+            text += f"; other seeds {', '.join(values)}" if values else ""
+            text += f", {mean}" if (mean := seed_mean_words(e)) else ""
+        if result.threshold:
+            least = f"{result.threshold:.2g}"
+            text += f"; threshold: a mean {least} below that of the candidate kept before"
+    elif e.failure:
+        where = f" in fold {e.failure.fold}" if e.failure.fold else ""
+        message = error_line(e.failure.detail)
+        detail = f" ({message})" if message else ""
+        text = f"no score{where}: {e.failure.advice}{detail}"
+    if result.left_behind:
+        left = ", ".join(map(str, result.left_behind))
+        text += f"; worker process {left} could not be terminated"
+    return text
+
+
+def decision_text(e: Experiment, view: SearchView) -> str:
+    """Say in one line why an experiment was kept or not: its V against that of the best one before,
+    or the failure."""
+    if e.result is None or e.score is None:
+        return "being evaluated" if e.failure is None else e.failure.advice
+    earlier = reversed(view.experiments[: e.number - 1])
+    best = next((o for o in earlier if (o.kept or o.lowest) and o.score), None)
+    if best is None or best.score is None or not best.score.value:
+        return "the first with a score"
+    change = e.score.value / best.score.value - 1.0
+    if change >= 1.0:
+        return f"V {change + 1.0:.3g} times that of #{best.number:02d}"
+    if change == 0.0:
+        return f"V equal to that of #{best.number:02d}"
+    percent = f"{100 * abs(change):.{'1f' if abs(change) >= 1e-3 else '2g'}}"
+    text = f"V {percent} % {'below' if change < 0 else 'above'} #{best.number:02d}"
+    if e.result.threshold and e.kept:
+        held = next((o for o in reversed(view.experiments[: e.number - 1]) if o.kept), best)
+        if fmean(held.seed_values) - fmean(e.seed_values) > e.result.threshold:
+            means = " over seeds" if len(e.seed_values) > 1 else ""
+            text += f",{means} by more than the threshold {e.result.threshold:.2g}"
+        else:
+            text += f", each seed below every one of #{held.number:02d}"
+    elif e.result.threshold and e.result.status == "inconclusive":
+        text += f", within the threshold {e.result.threshold:.2g}"
+    elif e.result.status == "inconclusive" and change < 0:
+        text += ", no more than chance on the held-out samples of the folds"
+    if e.result.status == "mixed":
+        text += ", but clearly worse in a fold"
+    if e.unconfirmed:
+        text += ", not confirmed by records that nobody in the search could read"
+    return text
