@@ -169,7 +169,7 @@ def _simulated(directory: Path, opened: Unsealed, model: TestedModel) -> np.ndar
 
 
 def tables(found: Sequence[dict[str, Any]]) -> str:
-    """The rule against hindsight, and the stack beside the winner."""
+    """The rule against hindsight, and the stack beside the best candidate."""
     lines = [
         f"{len(found)} searches. Loss: sealed error of the named model over that of the best of "
         "the three, less 1.",
@@ -247,15 +247,15 @@ def _stack_lines(found: Sequence[dict[str, Any]], total: int) -> list[str]:
     winner = [one["rmse"]["ensemble"] / one["value"] for one in found]
     lines = [
         f"{len(found)} of {total} searches have a stack of more than one candidate.",
-        f"Nested V of the stack over V of the winner: median {median(nested):.3f}.",
-        f"Sealed error of the stack over that of the winner's ensemble: median "
+        f"Nested V of the stack over V of the best candidate: median {median(nested):.3f}.",
+        f"Sealed error of the stack over that of the best candidate's ensemble: median "
         f"{median(sealed):.3f}, below 1 in {sum(s < 1 for s in sealed)}.",
         f"Sealed error over V: stack (nested) {median(flat):.3f}, winner {median(winner):.3f}.",
     ]
     if believed:
         better = sum(s < 1 for _, s in believed)
         lines.append(
-            f"Where the nested V is below the winner's ({len(believed)}): sealed ratio median "
+            f"Where the nested V is below that of the best ({len(believed)}): sealed ratio median "
             f"{median(s for _, s in believed):.3f}, below 1 in {better}."
         )
     return lines

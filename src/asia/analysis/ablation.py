@@ -187,10 +187,10 @@ def _imports_first(statements: Iterable[ast.stmt]) -> list[ast.stmt]:
 OnFit = Callable[[Fit, int, int], None]
 
 # The ledger keeps these names.
-_BEST = "the winner"
+_BEST = "the best candidate"
 _BASELINE = "the baseline"
-_MODEL = "the winner's model with the baseline's training"
-_TRAINING = "the baseline's model with the winner's training"
+_MODEL = "the best candidate's model with the baseline's training"
+_TRAINING = "the baseline's model with the best candidate's training"
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ class _Ablation:
             except UserError as error:
                 changes[number] = str(error)
                 continue
-            name = f"the winner without the change of #{number:02d}"
+            name = f"the best candidate without the change of #{number:02d}"
             changes[number] = Variant(name, source) if source else "no part of it is left"
         variants += [v for v in changes.values() if isinstance(v, Variant)]
         values = self._fit_all(variants)

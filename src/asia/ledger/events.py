@@ -97,7 +97,7 @@ class LeftOut:
 class Ablated:
     """Contributions of the changes to the gain of a search."""
 
-    winner: int
+    best: Annotated[int, _named("best", "winner")]
     """The incumbent of the search."""
     baseline: int
     """The experiment that it is compared with."""
@@ -218,7 +218,7 @@ class ConfirmedPair:
 class Confirmed:
     """Result of repeated fits of the best candidates."""
 
-    winner: int
+    best: Annotated[int, _named("best", "winner")]
     """The incumbent of the search."""
     seeds: int
     """Repeats of a candidate whose fits depend on the seed."""
@@ -415,7 +415,8 @@ class ReferenceScored:
     `source`."""
     source: Annotated[str, _omitted("")] = ""
     """Candidate of a linear model, where it is another one than the usual baseline."""
-    event: Literal["rung"] = "rung"
+    event: Literal["reference", "rung"] = "reference"
+    """Older ledgers say `rung`."""
 
 
 @dataclass(frozen=True)

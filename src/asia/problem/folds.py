@@ -321,28 +321,6 @@ def inner_folds(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[Fold, ...]:
     return tuple(found)
 
 
-def nested_folds(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[tuple[Fold, ...], ...]:
-    """For each fold, folds with the same held-out blocks: each trains on its training records
-    without one of as many parts as there are folds, at most three. The mean of their models is to
-    the model of the fold as the mean of the fold models is to a model of all training records.
-
-    Raises:
-        UserError: where the records are too short to be divided
-    """
-    count, first = min(len(folds), _THIRDS), len(folds) + max(len(folds), _THIRDS)
-    return tuple(
-        tuple(
-            replace(
-                _fold(fold.train, cut_at, rule, first + count * k + b),
-                held_out=fold.held_out,
-                followed=fold.followed,
-            )
-            for b, cut_at in enumerate(_cuts(fold, rule, count))
-        )
-        for k, fold in enumerate(folds)
-    )
-
-
 def _cuts(fold: Fold, rule: ProtocolRule, count: int) -> Sequence[FoldCut]:
     """Cuts of a fold's training records, each of which holds out one of `count` parts."""
     lengths = [len(r) for r in fold.train]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from statistics import median
@@ -16,7 +16,7 @@ from asia.agents.library.recipe import MODELS, read_recipe
 from asia.candidate import ParameterEstimates
 from asia.data.statistics import integrating, needs_loop, relation
 from asia.data.trajectory import Array
-from asia.errors import CandidateError, Reason, UserError
+from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
@@ -34,7 +34,6 @@ from asia.ledger.events import (
     Refitted,
     Stack,
     StackMember,
-    Use,
 )
 from asia.ledger.evidence import EstimatedModel, findings_of, fold_estimates, put_estimates
 from asia.ledger.run import ModelToUse
@@ -219,39 +218,27 @@ class _Comparison:
         return float(np.mean(np.sqrt(np.mean(apart**2, axis=0)) / self._evaluator.data.scale))
 
 
-# The model to use: the simplest within one standard error of the least error on held-out records;
-# docs/design/model-to-use.md.
-
-
-_KINDS: dict[Use, str] = {
-    "refit": "one model", "ensemble": "a mean of models", "stack": "a stack of candidates"
-}  # fmt: skip
-
-
-def choose_model(errors: Mapping[Use, Array], why_no_refit: str = "") -> ModelToUse:
-    """The model to use.
+def choose_model(single: Array, stack: Array | None, why_no_refit: str = "") -> ModelToUse:
+    """The model to use: a stack whose error on held-out records is more than one standard error
+    below that of the best candidate, else the refit, else the ensemble.
 
     Args:
-        errors: (n,) of the final models on the same parts of held-out records, which none was
-            fitted to, from simple to complex
+        single: errors (n,) of the best candidate on parts of the held-out records
+        stack: those of the stack on the same parts; None where there is none
         why_no_refit: in words; "" where there is a refit
     """
-    if not errors:
-        return ModelToUse("ensemble", _sentence(why_no_refit or "it was not compared"))
-    behind, deviation = behind_least(errors)
-    use: Use = next(name for name in errors if behind[name] <= deviation[name])
-    shown = ", ".join(
-        f"{_KINDS[name]} {error_value(float(e.mean()))}" for name, e in errors.items()
-    )
-    reason = (
-        f"Errors on parts of the held-out records: {shown}. It is the simplest within one "
-        "standard error of the least."
-    )
-    return ModelToUse(use, f"{_sentence(why_no_refit)} {reason}" if why_no_refit else reason)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
+    if stack is not None:
+        behind, deviation = behind_least({"single": single, "stack": stack})
+        if behind["single"] > deviation["single"]:
+            both = error_value(float(stack.mean())), error_value(float(single.mean()))
+            return ModelToUse(
+                "stack",
+                f"On parts of the held-out records its error is {both[0]}, that of the best "
+                f"candidate {both[1]}: lower by more than one standard error.",
+            )
+    if why_no_refit:
+        return ModelToUse("ensemble", f"{why_no_refit[:1].upper()}{why_no_refit[1:]}.")
+    return ModelToUse("refit", "It was fitted to all training records.")
 
 
 # Few folds say little about weights that are fitted to them: weights by V alone predict as well.
@@ -408,10 +395,10 @@ def refit_best(
     if problem.control is not None:
         return replace(refitted, failed_checks=tuple(failed), **_chosen_controller(refitted))
     why = "" if refitted.model is not None else refitted.detail or "there is no refit"
-    errors: dict[Use, Array] = {}
-    with diagnostic("errors on held-out records", failed):
-        errors = _errors_of_best(evaluator, best, store, metric, refit=not why)
-    chosen = choose_model(_with_stack(errors, made), why)
+    folds = zip(best.folds, evaluator.data.folds, strict=True)
+    answers = [store.get_arrays(one.y_hat, fold.shapes) for one, fold in folds]
+    single = held_out_errors(evaluator, answers, metric)
+    chosen = choose_model(single, made and made[1], why)
     refused: set[int] = set()
     while made is not None and (chosen.model == "stack" or made[0].value < best.score.value):
         members = [view.experiment(m.experiment) for m in made[0].members]
@@ -420,11 +407,11 @@ def refit_best(
             break
         refused |= wrong
         made = stacked(refused) if wrong else None
-        chosen = choose_model(_with_stack(errors, made), why)
+        chosen = choose_model(single, made and made[1], why)
     refitted = replace(refitted, stack=made and made[0], use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
         room = StressRoom(evaluator, store, view, integrating(problem_facts(problem).records))
-        second = choose_model(errors, why).model
+        second = choose_model(single, None, why).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     with diagnostic("feedback on the inputs", failed):
         found = unheeded_feedback(problem, store.text(best.source))
@@ -434,30 +421,6 @@ def refit_best(
             found = replace(found, sound=other)
         refitted = replace(refitted, feedback=found)
     return replace(refitted, failed_checks=tuple(failed))
-
-
-def _errors_of_best(
-    evaluator: Evaluator, best: Experiment, store: Store, metric: str, *, refit: bool
-) -> dict[Use, Array]:
-    """Errors (n,) of one model and of a mean of models of the best candidate on parts of the
-    held-out records. refit: whether one model is there to be used."""
-    folds = zip(best.folds, evaluator.data.folds, strict=True)
-    single = held_out_errors(
-        evaluator, [store.get_arrays(one.y_hat, fold.shapes) for one, fold in folds], metric
-    )
-    if not refit:
-        return {"ensemble": single}
-    if evaluator.data.rule.early_stopping != "inner":
-        return {"refit": single}
-    try:
-        means = evaluator.nested_means(store.text(best.source))
-    except (CandidateError, UserError):
-        return {"refit": single}
-    return {"refit": single, "ensemble": held_out_errors(evaluator, means, metric)}
-
-
-def _with_stack(errors: dict[Use, Array], made: tuple[Stack, Array] | None) -> dict[Use, Array]:
-    return errors if made is None or not errors else {**errors, "stack": made[1]}
 
 
 def _chosen_controller(refitted: Refitted) -> dict[str, Any]:

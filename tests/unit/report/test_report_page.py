@@ -271,7 +271,7 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
     assert 'id="confirmation"' not in page_of(open_run(directory))
     interval = ConfirmedPair(4, 2, Interval(0.3, -0.1, 0.7))
     found = Confirmed(
-        winner=4,
+        best=4,
         seeds=5,
         tried=3,
         level=0.95,

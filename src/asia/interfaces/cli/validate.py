@@ -204,10 +204,10 @@ def confirmation_lines(
                 + f"; they are corrected for the {found.tried} candidates of the search"
             )
         yield f"variance over seeds: {noise_words(found)}"
-    if found.expected is not None and experiment in (None, found.winner):
+    if found.expected is not None and experiment in (None, found.best):
         level = f"{found.expected_level:.0%}".replace("%", " %")
         yield (
-            f"expected error of #{found.winner:02d} on a new record, scaled as {v_name}: "
+            f"expected error of #{found.best:02d} on a new record, scaled as {v_name}: "
             f"{error_value(found.expected.value)}, {level} between "
             f"{error_value(found.expected.low)} and {error_value(found.expected.high)}"
         )
@@ -232,21 +232,21 @@ def confirmation_lines(
 
 def verdict(found: Confirmed) -> str:
     """Return the verdict on the best candidate in one sentence."""
-    best = f"#{found.winner:02d}"
-    if not found.candidates or found.winner in found.failed:
+    best = f"#{found.best:02d}"
+    if not found.candidates or found.best in found.failed:
         return f"{best} is not confirmed: it failed with every other seed"
-    if all(one.experiment != found.winner for one in found.candidates):
+    if all(one.experiment != found.best for one in found.candidates):
         return f"{best} is not confirmed: it was not repeated"
     equal = [
-        pair.first if pair.second == found.winner else pair.second
+        pair.first if pair.second == found.best else pair.second
         for pair in found.pairs
-        if not pair.apart and found.winner in (pair.first, pair.second)
+        if not pair.apart and found.best in (pair.first, pair.second)
     ]
-    if not equal and found.candidates[0].experiment == found.winner:
+    if not equal and found.candidates[0].experiment == found.best:
         if len(found.candidates) == 1:
             return f"{best} was the only candidate repeated: there is no comparison"
         return f"{best} is confirmed: it is better than all other repeated candidates"
-    better = [p.first for p in found.pairs if p.second == found.winner and p.apart]
+    better = [p.first for p in found.pairs if p.second == found.best and p.apart]
     if better:
         names = " and ".join(f"#{number:02d}" for number in better)
         return f"{best} is not confirmed: {names} {'is' if len(better) == 1 else 'are'} better"
@@ -328,7 +328,7 @@ def _ablation_lines(found: Ablated, v_name: str) -> Iterator[str]:
         yield f"model and training cannot be crossed: {found.detail}"
     else:
         yield (
-            f"{v_name} of the best candidate #{found.winner:02d} is lower than that of the "
+            f"{v_name} of the best candidate #{found.best:02d} is lower than that of the "
             f"baseline by {_interval(crossing.gain)}"
         )
         for name, part in (

@@ -42,7 +42,6 @@ from asia.judge.evaluation.results import (
     Refit,
     RefitModel,
     derive_seed,
-    mean_simulation,
 )
 from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
@@ -51,7 +50,7 @@ from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_parts
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
-from asia.problem.folds import Fold, inner_folds, nested_folds, whole
+from asia.problem.folds import Fold, inner_folds, whole
 from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
@@ -405,19 +404,6 @@ class Evaluator:
             except CandidateError as error:
                 self._inner_errors[source] = error.reason
         return self._inner_errors[source]
-
-    def nested_means(self, source: str) -> tuple[tuple[Array, ...], ...]:
-        """Simulate the held-out blocks of every fold by the mean of models that were each fitted to
-        a part of its training records, see `nested_folds`.
-
-        Raises:
-            CandidateError: where a fit or simulation failed
-            UserError: where the records are too short to be divided
-        """
-        source, nested = executed_source(source), nested_folds(self.data.folds, self.data.rule)
-        fits = [partial(self._fitter.fit, source, one, 0, None) for one in chain(*nested)]
-        found = iter(self.workers.run(fits))
-        return tuple(mean_simulation([next(found).y_hat for _ in each]) for each in nested)
 
     def objection(self, source: str, evaluation: Evaluation) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the

@@ -74,7 +74,7 @@ def draw_ablation(found: Ablated, run: str, v_name: str) -> Figure:
     axes.set_ylim(0.3, len(bars) + 0.7)
     axes.set_xlabel(f"Decrease of {plain(v_name, 40)}")
     quiet_grid(axes)
-    entitle(figure, f"{plain(run, 40)}: contributions to the gain of #{found.winner:02d}")
+    entitle(figure, f"{plain(run, 40)}: contributions to the gain of #{found.best:02d}")
     return figure
 
 
