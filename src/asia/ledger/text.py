@@ -18,6 +18,7 @@ from asia.ledger.events import (
     Evaluated,
     Phase,
     Stack,
+    StressTest,
     Validated,
     Variant,
 )
@@ -111,6 +112,17 @@ def seed_mean_words(e: Experiment) -> str:
     """`mean of 3 seeds 0.1312`, which decides whether its method is kept; "" for a single fit."""
     values = e.seed_values
     return f"mean of {len(values)} seeds {error_value(fmean(values))}" if len(values) > 1 else ""
+
+
+def stress_text(test: StressTest) -> str:
+    """Describe what a model did on training inputs in other combinations, in a sentence."""
+    start = f"On training inputs in other combinations the {test.model}"
+    if test.reach is None:
+        return f"{start} gives no finite outputs within the time limit."
+    return (
+        f"{start} takes {test.output} {test.reach:.3g} times as far from the middle of its "
+        "training range as any measured output."
+    )
 
 
 def stack_words(stack: Stack) -> str:

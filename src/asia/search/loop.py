@@ -23,6 +23,7 @@ from asia.agents.view import (
 )
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import score_references
+from asia.judge.scoring.outcome import explained_variance, folds_below
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
@@ -39,7 +40,6 @@ from asia.ledger.events import (
 )
 from asia.ledger.exports import write_exports
 from asia.ledger.index import refresh
-from asia.ledger.verdict import beats_mean
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
@@ -156,7 +156,8 @@ class Loop:
                     self.problem, self.evaluator, self.view, best, self.store, metric, self.gate
                 )
                 assert best.score is not None
-                if not beats_mean(self.view):
+                is_model = self.problem.control is None
+                if is_model and folds_below(explained_variance(best.score), 0.0):
                     refitted = replace(refitted, cause=why_nothing_helps(self._shown()))
             self.record(refitted)
         if self.view.guard_due:

@@ -20,6 +20,7 @@ from asia._progress import now_doing
 from asia._text import printable_line, say
 from asia._timer import Activity, ActivityTimer, TimeSpent, duration
 from asia.agents.expert_result import expert_result, expert_text
+from asia.analysis.verdict import alarms, unguarded
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
@@ -75,7 +76,6 @@ from asia.ledger.text import (
     seed_mean_words,
     threshold_text,
 )
-from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric
 
