@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from asia.data.trajectory import Array, filled
+from asia.data.trajectory import Array
 from asia.errors import CandidateError, InternalError, Reason, UserError
 from asia.problem.metrics import METRICS, by_measured, find_metric, mean_of_known
 
@@ -30,12 +30,6 @@ def _energy_ratio(y: Array, y_hat: Array) -> Array:
     spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
     with np.errstate(over="ignore"):
         return np.sum((y - y_hat) ** 2, axis=0) / np.where(spread > 0, spread, np.nan)
-
-
-def without_gaps(y: Array, y_hat: Array) -> Array:
-    """y (H, ny) of a block with NaN -> with the error `y - y_hat` on straight lines between the
-    measured samples, for an analysis that needs every sample. No score is made from it."""
-    return y_hat + filled(y - y_hat) if np.isnan(y).any() else y
 
 
 def pooled(parts: Sequence[Array]) -> Array:
