@@ -33,7 +33,7 @@ from asia.analysis.comparison import (
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.search.run import with_early_stopping
+from asia.search.settings import SearchSettings
 from harness import number, option_parser, table
 
 HERE = Path(__file__).parent
@@ -132,7 +132,7 @@ def main() -> None:
     for setting in options.early_stopping:
         validation = setting == "validation"
         names = tuple(paper.get("references", ())) if validation else ()
-        own = with_early_stopping(problem, setting)
+        own = SearchSettings(early_stopping=setting).applied(problem)
         views, references = search_all(own, options.agents, names, options)
         rows = list(rows_of(views))
         for title in names:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from asia.agents.library.recipe import Arguments, Recipe, read_recipe
 from asia.analysis.confirmation import check_repeatable
 from asia.candidate import source_digest, source_tree
 from asia.data.trajectory import Array
@@ -23,6 +22,7 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import Ablated, Fit, LeftOut
 from asia.ledger.view import Experiment
 from asia.problem.load import load_lock
+from asia.recipe import Arguments, Recipe, read_recipe
 from asia.search.run import LOCK, make_evaluator
 
 # Candidates in the standard layout, taken apart into model and training and put together anew.

@@ -20,6 +20,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from asia._progress import tracked
+from asia.data.segment import Segment
 from asia.data.trajectory import Array
 from asia.lowering.derivatives import jacobian
 from asia.lowering.evaluation import evaluate
@@ -408,7 +409,7 @@ class Linearised:
     """Variances (n,) of the initial states."""
 
     @classmethod
-    def of(cls, low: LoweredModel, segment: HeldOut) -> Linearised:
+    def of(cls, low: LoweredModel, segment: Segment) -> Linearised:
         """Simulate a segment with a model of one state vector."""
         past_u, past_y, u, y = segment.past_u, segment.past_y, segment.u, segment.y
         output, update = jacobian(low.output, [0]), jacobian(low.update)
@@ -453,7 +454,7 @@ class Linearised:
         return np.where(np.isfinite(total), total, np.inf)
 
 
-def simulated_states(low: LoweredModel, segment: HeldOut) -> Array:
+def simulated_states(low: LoweredModel, segment: Segment) -> Array:
     """States (T, n) of a simulation of a segment with a model of one state vector."""
     (z,) = evaluate(low.initial, [segment.past_u, segment.past_y, segment.u[0]])
     found: list[Array] = []
@@ -464,7 +465,7 @@ def simulated_states(low: LoweredModel, segment: HeldOut) -> Array:
 
 
 def start_variance(
-    low: LoweredModel, segments: Sequence[HeldOut], states: Sequence[Array]
+    low: LoweredModel, segments: Sequence[Segment], states: Sequence[Array]
 ) -> Array:
     """Variances (n,) of initial states from past windows inside the segments, around the states (T,
     n) of the simulation there."""
@@ -520,22 +521,9 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     return noise(best)
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Segment of a record, with the past window before it."""
-
-    fold: int
-    """The fold whose model did not see it."""
-    past_u: Array
-    past_y: Array
-    u: Array
-    y: Array
-
-
 def make_observer(
     own: LoweredModel,
-    folds: Sequence[LoweredModel],
-    segments: Sequence[HeldOut],
+    held_out: Sequence[tuple[LoweredModel, Segment]],
     input_variance: Array,
     parameters: Sequence[TimeVarying],
     changes: Sequence[tuple[str, bool, int]],
@@ -547,7 +535,8 @@ def make_observer(
 
     Args:
         own: the model; its last state holds the physical parameters, if there are any
-        folds: models of the same structure
+        held_out: models of the folds, of the same structure, each with a segment that it did not
+            see
         input_variance: (nu,), of the training records
         parameters: physical ones, then those of `changes`
         changes: as in `augmented`
@@ -560,23 +549,24 @@ def make_observer(
 
     ny = own.ny
     # The models of the folds may have other orders than the model itself.
-    plain = [augmented(low, (), 0.0) for low in folds]
-    part, physical = _limited(segments, _NOISE_SAMPLES), len(parameters) - len(changes)
-    linearised = [Linearised.of(plain[one.fold], one) for one in part]
+    part, physical = _limited(held_out, _NOISE_SAMPLES), len(parameters) - len(changes)
+    linearised = [Linearised.of(augmented(low, (), 0.0), one) for low, one in part]
     noise = fit_noise(linearised, input_variance)
 
     def initial(variances: Array) -> Array:
         return variances[: len(variances) - ny - physical]
 
     alone = augmented(own, (), 0.0)
-    own_start = initial(start_variance(alone, part, [simulated_states(alone, one) for one in part]))
+    segments = [one for _, one in part]
+    states = [simulated_states(alone, one) for one in segments]
+    own_start = initial(start_variance(alone, segments, states))
     low = augmented(own, changes, noise.pole)
     observer = Observer(low, tuple(parameters), noise, own_start, forgetting, math.inf, math.inf)
     sequences: list[Array] = []
     apart: list[Array] = []
-    for one, known in zip(_limited(segments, _SAMPLES), linearised, strict=True):
+    for (model, one), known in zip(_limited(held_out, _SAMPLES), linearised, strict=True):
         # The parameters of the fold model are nominal for it.
-        low = augmented(folds[one.fold], changes, noise.pole)
+        low = augmented(model, changes, noise.pole)
         fold = Filter(replace(observer, low=low, initial=initial(known.initial)))
         fold.start(one.past_u, one.past_y, one.u[0])
         nominal = fold.z[fold.observer.first : fold.observer.order - ny].copy()
@@ -605,8 +595,13 @@ def make_observer(
     ), inside
 
 
-def _limited(segments: Sequence[HeldOut], most: int) -> list[HeldOut]:
+def _limited(
+    held_out: Sequence[tuple[LoweredModel, Segment]], most: int
+) -> list[tuple[LoweredModel, Segment]]:
     """The segments with about so many samples together, each shortened alike."""
-    share = min(1.0, most / sum(len(one.u) for one in segments))
-    rows = [max(int(share * len(one.u)), min(len(one.u), 60)) for one in segments]
-    return [replace(one, u=one.u[:n], y=one.y[:n]) for one, n in zip(segments, rows, strict=True)]
+    share = min(1.0, most / sum(len(one.u) for _, one in held_out))
+    rows = [max(int(share * len(one.u)), min(len(one.u), 60)) for _, one in held_out]
+    return [
+        (low, replace(one, u=one.u[:n], y=one.y[:n]))
+        for (low, one), n in zip(held_out, rows, strict=True)
+    ]

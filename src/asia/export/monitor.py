@@ -15,7 +15,6 @@ import numpy as np
 from asia._text import suggestion
 from asia.analysis.monitor import (
     Filter,
-    HeldOut,
     Method,
     MonitorSample,
     TimeVarying,
@@ -25,7 +24,7 @@ from asia.analysis.monitor import (
 from asia.data.intake.formats import file_format
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.timestamps import time_column
-from asia.data.segment import SimulatedSegment
+from asia.data.segment import Segment, SimulatedSegment
 from asia.data.trajectory import Array, Signal, Trajectory, real_numbers
 from asia.errors import UserError
 from asia.export.linear import StepModels, step_models
@@ -36,6 +35,7 @@ from asia.export.targets.c import c_compiler, example_csv, observed, observer_fi
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run, open_run
 from asia.lowering.evaluation import evaluate
+from asia.lowering.program import LoweredModel
 from asia.problem.load import read_records
 
 # Memory of parameters in samples.
@@ -96,9 +96,9 @@ class Monitor:
         changes = [_change(p, self.inputs, self.outputs) for p in parameters if p not in physical]
         self.records = records = models.evaluator.data.records
         signals = [np.concatenate([getattr(r, side) for r in records]) for side in ("u", "y")]
-        segments = _held_out(models)
+        held_out = _held_out(models)
         # Nominal values are the last state of the model itself.
-        window = segments[0]
+        _, window = held_out[0]
         start = evaluate(models.own.initial, [window.past_u, window.past_y, window.u[0]])
         values = start[-1].tolist() if physical else []
         ranges = {} if problem.physics is None else problem.physics.parameters
@@ -121,7 +121,7 @@ class Monitor:
         if not kept >= 2.0 * step:
             raise UserError(f"memory is {kept:g} s, expected at least two samples ({2 * step:g} s)")
         observer, self.inside = make_observer(
-            models.own, models.folds, segments, signals[0].var(axis=0), chosen, changes,
+            models.own, held_out, signals[0].var(axis=0), chosen, changes,
             math.exp(-step / kept), false_alarms,
         )  # fmt: skip
         own = measured(models.own, problem.preprocess, problem.inputs)
@@ -344,21 +344,19 @@ def _change(
     return match[1], is_input, place if is_input else place - len(inputs)
 
 
-def _held_out(models: StepModels) -> list[HeldOut]:
-    """Held-out segments of all folds: neighbouring blocks of a record as one."""
-    found: list[HeldOut] = []
-    for fold in models.evaluator.data.folds:
-        previous = None
+def _held_out(models: StepModels) -> list[tuple[LoweredModel, Segment]]:
+    """Held-out segments with the model of their fold: neighbouring blocks of a record as one."""
+    found: list[tuple[LoweredModel, Segment]] = []
+    for low, fold in zip(models.folds, models.evaluator.data.folds, strict=True):
+        own: list[Segment] = []
         for block in fold.held_out:
-            if previous is not None and (previous.record, previous.stop) == (
-                block.record, block.start,
-            ):  # fmt: skip
-                last = found[-1]
+            last = own[-1] if own else None
+            if last is not None and (last.record, last.stop) == (block.record, block.start):
                 u, y = np.vstack([last.u, block.u]), np.vstack([last.y, block.y])
-                found[-1] = replace(last, u=u, y=y)
+                own[-1] = replace(last, u=u, y=y)
             else:
-                found.append(HeldOut(fold.index, block.past_u, block.past_y, block.u, block.y))
-            previous = block
+                own.append(block)
+        found += [(low, one) for one in own]
     return found
 
 

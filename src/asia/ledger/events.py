@@ -320,6 +320,10 @@ class StressTest:
     """drifts: far away, but no faster than the measured outputs move, as an integrator does."""
 
 
+BOUNDED_REACH = 5.0
+"""Reach up to which a model is bounded, in half ranges."""
+
+
 # The course of a search: its start, its experiments, its end.
 
 

@@ -6,7 +6,7 @@ from statistics import fmean
 from asia._text import one_line
 from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.repeated_fits import RANKED
-from asia.ledger.events import Evaluated, Phase, Stack, Validated
+from asia.ledger.events import Evaluated, Phase, Stack, StressTest, Validated
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.table import error_value
@@ -48,6 +48,17 @@ def error_line(error: str, most: int = 300) -> str:
 def phase_text(phase: Phase) -> str:
     """Describe the part of the budget in which an experiment lies."""
     return _PHASES[phase]
+
+
+def stress_text(test: StressTest) -> str:
+    """Describe what a model did on training inputs in other combinations, in a sentence."""
+    start = f"On training inputs in other combinations the {test.model}"
+    if test.reach is None:
+        return f"{start} gives no finite outputs within the time limit."
+    return (
+        f"{start} takes {test.output} {test.reach:.3g} times as far from the middle of its "
+        "training range as any measured output."
+    )
 
 
 def validation_summary(event: Validated) -> str:

@@ -19,7 +19,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
 from asia.agents.view import LINEAR, PARENT
 from asia.candidate import source_digest
@@ -32,6 +31,7 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView
+from asia.recipe import read_recipe
 
 K = TypeVar("K")
 PROPOSED = "as proposed"

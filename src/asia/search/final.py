@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from asia._diagnostic import diagnostic
-from asia.agents.library.recipe import MODELS, read_recipe
 from asia.candidate import ParameterEstimates
 from asia.data.statistics import integrating, needs_loop, relation
 from asia.data.trajectory import Array
@@ -43,6 +42,7 @@ from asia.presentation.table import error_value
 from asia.problem.check import feedback_pairs
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
+from asia.recipe import MODELS, read_recipe
 from asia.search.agent_views import problem_facts
 from asia.search.fair_trial import behind_least, evaluation_of
 from asia.search.guard import Gate

@@ -12,13 +12,13 @@ from asia.agents.expert.diagnosis import COURSE_MOVES, answers, places
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cards import neural_ss
 from asia.agents.library.move import Situation, plain_title, title_of
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.registry import families, family
 from asia.agents.library.trial_evidence import overfit
 from asia.data import Array, Trajectory
 from asia.data.statistics import Switching, noise_of_periods, plateau_share
 from asia.problem.physics import Correction
 from asia.problem.plant import Plant, Unknown
+from asia.recipe import Recipe
 from tests.unit.agents.records.test_relation import closed_loop, lagged
 from tests.unit.agents.searches import (
     CLEAN,

@@ -12,7 +12,6 @@ import pytest
 
 from asia.analysis.monitor import (
     Filter,
-    HeldOut,
     Method,
     MonitorSample,
     Noise,
@@ -23,7 +22,7 @@ from asia.analysis.monitor import (
     increments,
     make_observer,
 )
-from asia.data.segment import SimulatedSegment
+from asia.data.segment import Segment, SimulatedSegment
 from asia.data.trajectory import Array
 from asia.lowering.evaluation import evaluate
 from asia.lowering.program import Builder, LoweredModel
@@ -57,10 +56,10 @@ def record(
 
 def tank_observer(rng: np.random.Generator, spread: float = 0.2) -> Observer:
     parts = [record(rng, 400) for _ in range(2)]
-    segments = [HeldOut(k, u[:1], y[:1], u[1:], y[1:]) for k, (u, y) in enumerate(parts)]
+    held_out = [(tank(), Segment(u[:1], y[:1], u[1:], y[1:])) for u, y in parts]
     parameter = TimeVarying("p", GAIN, spread * GAIN, 0.01, 10.0)
     made, inside = make_observer(
-        tank(), [tank(), tank()], segments, parts[0][0].var(axis=0), [parameter], [],
+        tank(), held_out, parts[0][0].var(axis=0), [parameter], [],
         math.exp(-1 / 300), 1e-4,
     )  # fmt: skip
     assert 0.92 < inside < 0.98
@@ -94,9 +93,9 @@ def test_slow_disturbances_are_told_from_white_noise() -> None:
         for k in range(1, len(slow)):
             slow[k] = 0.95 * slow[k - 1] + 0.1 * math.sqrt(1 - 0.95**2) * rng.normal()
         parts.append((u, y + slow[:, None]))
-    segments = [HeldOut(k, u[:1], y[:1], u[1:], y[1:]) for k, (u, y) in enumerate(parts)]
+    held_out = [(tank(), Segment(u[:1], y[:1], u[1:], y[1:])) for u, y in parts]
     made, inside = make_observer(
-        tank(), [tank(), tank()], segments, parts[0][0].var(axis=0),
+        tank(), held_out, parts[0][0].var(axis=0),
         [TimeVarying("p", GAIN, 0.0)], [], 1.0, 1e-4,
     )  # fmt: skip
     assert made.noise.disturbance[0] == pytest.approx(0.1**2, rel=0.5)

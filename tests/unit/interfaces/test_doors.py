@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import asia
+from asia.analysis.verdict import usability
 from asia.ledger import run as ledger
 from asia.ledger.run import model_to_use, open_run
-from asia.ledger.verdict import usability
 from asia.problem.load import load_problem
 from asia.report.page.page import write_page
 from asia.search.run import prepare, search

@@ -3,13 +3,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import all_families
 from asia.candidate import Context, library_only
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import linear, narx, static_maps
 from asia.models.methods import LeastSquares, LevenbergMarquardt
+from asia.recipe import Recipe, read_recipe
 from asia.testing.candidate import check_candidate
 from asia.testing.family import family_problem, smallest_source
 from tests.contract.test_steps import check_steps

@@ -36,7 +36,6 @@ from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import avoided, read_notes
 from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title, title_of
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
 from asia.agents.library.traits import traits, why_nothing_helps
 from asia.agents.view import (
@@ -48,6 +47,7 @@ from asia.agents.view import (
     Running,
     Trial,
 )
+from asia.recipe import Recipe, read_recipe
 
 GIVEN = frozenset({"greybox", "physics_net", "simulator"})
 """Families of what the user gave, equations and a simulator."""

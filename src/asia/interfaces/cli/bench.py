@@ -64,14 +64,12 @@ def compare_agents(
     from asia.agents.registry import choose_agent
     from asia.analysis.comparison import experiments_to_reach, pairs_of, plan_searches, rows_of
     from asia.problem.load import load_problem
-    from asia.search.run import with_early_stopping
+    from asia.search.settings import SearchSettings
 
     def named(name: str) -> tuple[str, Callable[[], NamedAgent]]:
         return choose_agent(name).agent.name, lambda: choose_agent(name)
 
-    loaded = load_problem(problem)
-    if early_stopping is not None:
-        loaded = with_early_stopping(loaded, early_stopping)
+    loaded = SearchSettings(early_stopping=early_stopping).applied(load_problem(problem))
     compared = [named(name.strip()) for name in agents.split(",") if name.strip()]
     searches = plan_searches(loaded, compared, _chosen_seeds(seeds), experiments)
     file = sys.stderr if json else sys.stdout

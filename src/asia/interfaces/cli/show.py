@@ -9,7 +9,6 @@ from rich.table import Table
 from rich.text import Text
 
 from asia._text import hand_over, printable, printable_line, say
-from asia.agents.library.recipe import MODELS, read_recipe
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs, run_directory
 from asia.interfaces.cli.output import (
@@ -37,6 +36,7 @@ from asia.presentation.experiments import confirmation_text, describe_result, ph
 from asia.presentation.parameters import identified_lines, identified_object
 from asia.presentation.table import error_value
 from asia.problem.metrics import metric_label
+from asia.recipe import MODELS, read_recipe
 
 # Width of the columns that are not of an output.
 _OTHER_COLUMNS = 64

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asia._text import one_line, say
+from asia.analysis.verdict import alarms
 from asia.errors import InternalError, Reason, UserError
 from asia.interfaces.cli.options import Keys, RunName, RunOptions, YesProcess
 from asia.interfaces.cli.output import print_alarms, use_lines, validation_words
@@ -17,7 +18,6 @@ from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.looks import later_words
 from asia.ledger.run import Run, model_to_use, open_run, tested_model
-from asia.ledger.verdict import alarms
 from asia.ledger.view import SearchView
 from asia.problem.metrics import metric_label
 

@@ -10,7 +10,6 @@ from urllib.parse import urlencode
 from markupsafe import Markup
 
 from asia._timer import duration
-from asia.agents.library.recipe import read_recipe
 from asia.errors import UserError
 from asia.interfaces.view.followed import Snapshot
 from asia.interfaces.view.pages import zoomable
@@ -19,6 +18,7 @@ from asia.ledger.run import model_to_use
 from asia.ledger.view import Experiment
 from asia.presentation.table import error_value
 from asia.problem.problem import Problem
+from asia.recipe import read_recipe
 from asia.report.page.render import picture
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of
 from asia.report.page.sections.verdict import draw_panel, stamp, tested_figure

@@ -19,19 +19,19 @@ import numpy as np
 from markupsafe import Markup
 
 from asia._text import one_line, printable_line
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.registry import reads_notes
 from asia.analysis.importance import LEAST_EXPERIMENTS, settings_importance
+from asia.analysis.verdict import alarms, unguarded
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.interfaces.view.render import experiments_of, fill, run_address
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import Experiment
 from asia.presentation.evidence import evidence_lines
 from asia.presentation.experiments import decision_text, describe_result
 from asia.presentation.table import error_value
+from asia.recipe import Recipe, read_recipe
 from asia.report.page.render import picture
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.evidence import (

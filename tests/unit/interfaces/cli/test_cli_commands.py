@@ -31,7 +31,7 @@ def test_help_lists_the_main_commands_first(asia: Asia) -> None:
 def test_the_help_of_run_is_short_and_help_all_is_complete(asia: Asia) -> None:
     options = [w for w in listed(asia("run", "--help").out) if w.startswith("--")]
     assert options == [
-        "--agent", "--experiments", "--seed", "--hours", "--name", "--isolation", "--parallel",
+        "--agent", "--experiments", "--seed", "--hours", "--isolation", "--name", "--parallel",
         "--executor", "--runs", "--json", "--help-all", "--help", "--model",
     ]  # fmt: skip
     done = asia("run", "--help-all")

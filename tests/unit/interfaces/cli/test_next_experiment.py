@@ -171,6 +171,9 @@ def test_extend_begins_with_the_leading_candidate(
     assert view.best.number in (2, 3)
     assert (view.started.agent, view.started.agent_settings["then"]) == ("leading", "silent")
     assert command_line(*words).code == 0
+    ahead = command_line(*("two" if word == "longer" else word for word in words), "--parallel", 2)
+    assert ahead.code == 2
+    assert "the agent silent proposes one experiment at a time" in ahead.err
     few = command_line(*(2 if word == 4 else word for word in words))
     assert few.code == 2
     assert "give --experiments 3 or more" in few.err

@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 
 import asia
+from asia.analysis.verdict import usability
 from asia.data import Array, Signal
 from asia.data.arrays import read_arrays
 from asia.data.intake.conversion import Intake, Use
 from asia.errors import UserError
-from asia.ledger.verdict import usability
 from asia.search.simulation import BandedSimulation
 from tests.unit.interfaces.cli.conftest import command_line
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from asia.agents.library.recipe import Recipe
 from asia.agents.registry import reads_notes
 from asia.analysis.importance import share_of_variance
 from asia.errors import Reason, UserError
@@ -24,6 +23,7 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
+from asia.recipe import Recipe
 from asia.report.page.page import page_of
 from tests.unit.report.made_up import append_experiment, append_test
 

@@ -3,12 +3,12 @@
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import fails_on_top
 from asia.agents.view import Facts
 from asia.data.statistics import plateau_share
+from asia.recipe import Arguments, Recipe
 
 
 def _saturates(facts: Facts) -> bool:

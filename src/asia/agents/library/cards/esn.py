@@ -2,8 +2,8 @@
 
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.move import Card, Move
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
+from asia.recipe import Recipe
 
 CARD = Card(
     (

@@ -14,10 +14,10 @@ from asia.agents.library.methods import (
     symmetry_space,
 )
 from asia.agents.library.move import Card
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import Trait
 from asia.agents.view import Facts
+from asia.recipe import Arguments, Recipe
 
 # Multiple shooting can set the state of networks that step through time. Others map a whole record
 # at once.

@@ -11,12 +11,12 @@ from asia.agents.library.methods import (
     symmetry_space,
 )
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts
 from asia.data.statistics import Cause, switching, transport
+from asia.recipe import Arguments, Recipe, Value
 
 
 def _start(facts: Facts) -> Recipe:

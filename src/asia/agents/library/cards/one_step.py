@@ -3,9 +3,9 @@
 from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import LIKELY, POSSIBLE, Card, Move
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.data.statistics import plateau_share
+from asia.recipe import Recipe
 
 CARD = Card(
     (

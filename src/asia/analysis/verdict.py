@@ -1,5 +1,5 @@
-"""Verdict on the model that a search hands over. It is derived from the ledger alone, and every
-door prints this one object."""
+"""Verdict on the model that a search hands over, from the facts of its ledger alone. Every
+interface prints this one object."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,10 +12,11 @@ from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.bands import KNOWN_WITHIN
 from asia.judge.scoring.checks.check import ALARM_RATE, Verdict
 from asia.judge.scoring.confirmation import FAR_ABOVE_V
-from asia.judge.scoring.outcome import Score
-from asia.ledger.events import StressTest, TestedModel
+from asia.judge.scoring.outcome import USABLE_SHARE, Score, explained_variance, folds_below
+from asia.ledger.events import BOUNDED_REACH, TestedModel
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.view import BELOW_TRUTH, SearchView
+from asia.presentation.experiments import stress_text
 
 
 class Level(NamedTuple):
@@ -29,7 +30,7 @@ class Level(NamedTuple):
 EXPLAINED = Level(
     "least share of the variance of an output, about its own mean in the fold, that the model "
     "explains; 0 or less of a fold: not usable",
-    0.5,
+    USABLE_SHARE,
     "R2 (Ljung, System Identification, 16.4); half of the variance is the definition of usable",
 )
 AGREEMENT = Level(
@@ -46,7 +47,7 @@ COVERAGE = Level(
 )
 BOUNDED = Level(
     "largest distance of a stress simulation from the middle of the training range, in half ranges",
-    5.0,
+    BOUNDED_REACH,
     "five times the range of the records is another operating region; a linear model or an "
     "integrator may go further (stress simulation)",
 )
@@ -122,49 +123,21 @@ def _controls(view: SearchView) -> bool:
     return any(reference.name in CONTROLLERS for reference in view.references)
 
 
-def explained_variance(view: SearchView) -> Array | None:
-    """Share (K, ny) of the variance of each output in each fold, about its own mean there, that the
-    model to use explains. NaN where the fold cannot tell: its output moves less than the model errs
-    in the other folds. None for controllers, and without a score."""
-    best = view.best
+def _explained_variance(view: SearchView) -> Array | None:
+    """Share (K, ny) of the variance that the model to use explains, see `explained_variance`. None
+    for controllers, and without a score."""
+    best, refitted = view.best, view.refitted
     if best is None or best.score is None or _controls(view):
         return None
-    folds = best.score.folds
-    share = np.array([[np.nan if r is None else r for r in fold.r2] for fold in folds])
-    error = np.array([fold.rmse for fold in folds]) ** 2
-    refitted = view.refitted
-    if refitted is not None and refitted.use == "stack" and refitted.stack is not None:
-        own = np.array([fold.value for fold in folds])
-        ratio = (np.array(refitted.stack.folds) / np.where(own > 0.0, own, 1.0)) ** 2
-        share, error = 1.0 - (1.0 - share) * ratio[:, None], error * ratio[:, None]
-    variance = error / np.where(share < 1.0, 1.0 - share, np.nan)
-    others = (error.sum(axis=0) - error) / max(len(folds) - 1, 1)
-    silent = (variance < others) & (share < EXPLAINED.level)
-    # A model that is worse than the mean in all folds together is judged in each.
-    total = np.nansum(error, axis=0) >= np.nansum(variance, axis=0)
-    return np.where(silent & ~total, np.nan, share)
-
-
-def beats_mean(view: SearchView) -> bool:
-    """Return whether the model explains a part of the variance in every fold that can tell."""
-    share = explained_variance(view)
-    return share is None or not _below(share, 0.0)
-
-
-def _below(share: Array, level: float) -> list[int]:
-    """Numbers of the folds (1-based) whose mean share over the outputs is at most the level."""
-    return [
-        k + 1
-        for k, row in enumerate(share)
-        if not np.isnan(row).all() and float(np.nanmean(row)) <= level
-    ]
+    stack = refitted.stack if refitted is not None and refitted.use == "stack" else None
+    return explained_variance(best.score, () if stack is None else stack.folds)
 
 
 def _explained(view: SearchView) -> _Findings:
-    share, refitted, best = explained_variance(view), view.refitted, view.best
+    share, refitted, best = _explained_variance(view), view.refitted, view.best
     if share is None or best is None or best.score is None:
         return
-    worse, outputs = _below(share, 0.0), view.started.outputs
+    worse, outputs = folds_below(share, 0.0), view.started.outputs
     if worse:
         cause = refitted.cause if refitted is not None else ""
         least = min(float(np.nanmean(share[fold - 1])) for fold in worse)
@@ -255,7 +228,7 @@ def _checks(view: SearchView) -> _Findings:
 
 
 def _agreement(view: SearchView) -> _Findings:
-    best, refitted, share = view.best, view.refitted, explained_variance(view)
+    best, refitted, share = view.best, view.refitted, _explained_variance(view)
     if best is None or best.score is None or share is None or np.isnan(share).all():
         return
     if refitted is not None and refitted.use == "stack":
@@ -299,17 +272,6 @@ def _honesty(view: SearchView) -> _Findings:
         yield _Finding(
             "The best candidate's fit reached its deadline, so it depends on the machine."
         )
-
-
-def stress_text(test: StressTest) -> str:
-    """Describe what a model did on training inputs in other combinations, in a sentence."""
-    start = f"On training inputs in other combinations the {test.model}"
-    if test.reach is None:
-        return f"{start} gives no finite outputs within the time limit."
-    return (
-        f"{start} takes {test.output} {test.reach:.3g} times as far from the middle of its "
-        "training range as any measured output."
-    )
 
 
 def unguarded(view: SearchView) -> str:

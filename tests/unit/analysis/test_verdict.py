@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.judge.scoring.outcome import FoldScore, Score
+from asia.analysis.verdict import LEVELS, usability
+from asia.judge.scoring.outcome import FoldScore, Score, explained_variance
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Event, ReferenceScored
 from asia.ledger.evidence import fold_estimates, with_fold_values
-from asia.ledger.verdict import LEVELS, explained_variance, usability
 from asia.ledger.view import SearchView, replay
 from tests.unit.ledger.conftest import evaluated, proposed, started
 
@@ -60,12 +60,14 @@ def test_a_linear_model_that_is_better_in_every_fold_is_a_doubt(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("factor", [1e-12, 1e12])
-def test_the_explained_variance_does_not_depend_on_units(tmp_path: Path, factor: float) -> None:
+def test_the_explained_variance_does_not_depend_on_units(factor: float) -> None:
     folds = [(0.2, 0.96), (0.2, -0.5), (0.5, 0.6)]
-    scaled = [(factor * e, r2) for e, r2 in folds]
-    first, second = (explained_variance(of_folds(tmp_path, f)) for f in (folds, scaled))
-    assert first is not None
-    assert second is not None
+    first, second = (
+        explained_variance(
+            Score(1.0, tuple(FoldScore(e, (k * e,), (k * e,), (50.0,), (r2,)) for e, r2 in folds))
+        )
+        for k in (1.0, factor)
+    )
     np.testing.assert_allclose(first, second)
 
 
