@@ -33,11 +33,10 @@ from asia.report.files import draw_bench, pictures
 from asia.report.pictures.check import draw_data
 from asia.report.pictures.leaderboard import draw_standing
 from asia.report.pictures.progress import draw_arms
-from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth
 from asia.report.published import leaderboard
 
 from .made_up import Shape, make_problem, write_run
-from .test_report_pictures import FIVE, assert_readable, visible_texts
+from .test_report_pictures import FIVE, assert_readable
 
 SHAPE = Shape(
     samples=(101,) * 12,
@@ -195,26 +194,6 @@ def test_searches_against_each_other(seeds: int) -> None:
     assert list(lines_of(figure, "paper")) == [0.25, 0.25]
 
 
-def test_best_so_far() -> None:
-    curve = Curve((None, 0.5, None, 0.7, 0.2))
-    values = curve.best_so_far(6)
-    assert np.isnan(values[0])
-    assert list(values[1:]) == [0.5, 0.5, 0.5, 0.2, 0.2]
-
-
-@pytest.mark.slow
-def test_published_errors_beside_ours() -> None:
-    marks = tuple(Marks(f"paper {i}", ((10, 0.1 * i), (50, 0.9))) for i in range(1, 5))
-    lines = (
-        ErrorCurve("ensemble", np.linspace(0.01, 0.5, 50)),
-        ErrorCurve("refit", np.linspace(0.02, 0.6, 50)),
-    )
-    panels = [Growth(name, "Distance [m]", lines, marks) for name in ("p", "v", "R", "omega")]
-    with drawing():
-        figure = draw_growth(panels, 0.01, "Sealed test", "A long note on protocols. " * 12)
-        assert_readable(figure)
-
-
 def test_another_result_is_marked_in_the_leaderboard() -> None:
     entries = leaderboard("cascaded_tanks")
     with drawing():
@@ -240,19 +219,3 @@ def test_draw_bench_reads_runs(tmp_path: Path) -> None:
     written = draw_bench(wanted, tmp_path / "bench")
     names = itertools.product(("progress-inner", "arms"), ("png", "pdf"))
     assert [p.name for p in written] == [f"{name}.{suffix}" for name, suffix in names]
-
-
-@pytest.mark.long
-def test_pictures_name_the_metric_of_the_problem(tmp_path: Path) -> None:
-    problem = windows_problem()
-    directory = write_run(tmp_path / "run", problem, FIVE[:2], unsealed=2)
-    drawn = dict(pictures(open_run(directory), problem))
-    with drawing():
-        words = {
-            name: " ".join(text for text, _ in visible_texts(drawn[name]()))
-            for name in ("progress", "simulation", "test")
-        }
-    assert "Cross-validated MAE / output std" in words["progress"]
-    for name, text in words.items():
-        assert "MAE" in text, name
-        assert "RMSE" not in text, name
