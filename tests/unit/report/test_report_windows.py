@@ -23,7 +23,7 @@ from asia.report.pictures.check import draw_data
 from asia.report.pictures.progress import draw_comparison
 
 from .made_up import Shape, make_problem, write_run
-from .test_report_pictures import FIVE, assert_readable, visible_texts
+from .test_report_pictures import FIVE, assert_readable
 
 SHAPE = Shape(
     samples=(101,) * 12,
@@ -175,19 +175,3 @@ def test_best_so_far_of_searches_of_different_lengths() -> None:
     with drawing():
         drawn = lines_of(draw_comparison(agents, {}, "rmse", ""), "a")
     assert list(drawn) == [0.5, 0.5, 0.5, 0.2, 0.2, 0.2]
-
-
-@pytest.mark.long
-def test_pictures_name_the_metric_of_the_problem(tmp_path: Path) -> None:
-    problem = windows_problem()
-    directory = write_run(tmp_path / "run", problem, FIVE[:2], unsealed=2)
-    drawn = dict(pictures(open_run(directory), problem))
-    with drawing():
-        words = {
-            name: " ".join(text for text, _ in visible_texts(drawn[name]()))
-            for name in ("progress", "simulation", "test")
-        }
-    assert "Cross-validated MAE / output std" in words["progress"]
-    for name, text in words.items():
-        assert "MAE" in text, name
-        assert "RMSE" not in text, name

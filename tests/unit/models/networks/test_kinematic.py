@@ -134,7 +134,7 @@ def test_integrals_follow_their_rates_with_the_learned_gain(fitted: NetworkModel
     np.testing.assert_allclose(np.diff(y[:, :2], axis=0), gain * own * TS * y[:-1, 2:], atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_beats_holding_and_comes_back_the_same() -> None:
     records = [cart(i) for i in range(4)]
     config = kinematic.Config("gru", hidden=8, encoder=4, features=("square",))
