@@ -37,33 +37,6 @@ CARD = Card(
             path=Path("coefficient_ridge", (1e-1, 1e-3, 1e-5)),
             timing=Timing(start=0.4, unit=3.9e-06),
         ),
-        Family(
-            name="gp_narx",
-            label="Gaussian-process NARX",
-            use="any smooth nonlinearity from few samples",
-            base=3,
-            points=(("short", 1), ("windows", -2), ("several", -1)),
-            unfit=frozenset({"long"}),
-            start=lambda _: Recipe(
-                "gp_narx",
-                (("mean", "linear"), ("points", 800), ("delay", 0), ("margin", 0.1)),
-                "MarginalLikelihood",
-                (("iterations", 60),),
-            ),
-            space=lambda _: Space(
-                config=(
-                    OneOf("na", (None, 1, 2, 3)),
-                    OneOf("nb", (None, 1, 2, 3)),
-                    OneOf("delay", (0, None)),
-                    OneOf("mean", ("linear", "hold")),
-                    OneOf("points", (400, 800)),
-                    OneOf("margin", (0.0, 0.1, 0.3)),
-                ),
-                options=(OneOf("iterations", (30, 60)),),
-            ),
-            small=(("points", 60), ("iterations", 3)),
-            timing=Timing(start=0.4, unit=1.3e-06),
-        ),
     ),
     (
         Move(
@@ -78,7 +51,6 @@ CARD = Card(
         ),
         Move(
             name="terms up to the third degree",
-            families=("narx",),
             evidence=lambda c: c.recipe.number("degree", 2) < 3,
             change=lambda c: c.recipe.configured(degree=3),
             hypothesis="The nonlinearity is not even.",
