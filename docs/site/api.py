@@ -35,6 +35,7 @@ def api_page() -> str:
             text.append(_module(f"asia.models.{family}"))
     text += ["## Training methods: asia.models.methods\n"]
     text += [_directive(methods, "asia.models.methods", name) for name in methods.__all__]
+    text += ["## Control: asia.control\n", "::: asia.control.monitor.Monitor\n"]
     text += ["## Suites for parts of your own: asia.testing\n"]
     text += [_directive(asia.testing, "asia.testing", name) for name in asia.testing.__all__]
     return "\n".join(text)

@@ -21,7 +21,10 @@ GROUPS = (
     "asia.export_targets",
     "asia.validation_checks",
     "asia.commands",
+    "asia.command_options",
 )
+OWN = "asia-sysid"
+"""The package of ASIA, which brings parts by the same entry points as others."""
 
 
 def library(name: LiteralString) -> Any:
@@ -136,8 +139,9 @@ class PluginPackage:
 
 
 def _package_names() -> tuple[str, ...]:
-    """Top-level names, whether or not the parts' own names clash."""
-    return tuple(dict.fromkeys(re.split("[:.]", part.target)[0] for part in _all_parts()))
+    """Top-level names of other packages, whether or not the parts' own names clash."""
+    others = (part.target for part in _all_parts() if part.package != OWN)
+    return tuple(dict.fromkeys(re.split("[:.]", target)[0] for target in others))
 
 
 def plugin_packages() -> tuple[PluginPackage, ...]:

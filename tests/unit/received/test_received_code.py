@@ -166,8 +166,8 @@ SERVED = {"view"}
 def leaves(command: Any, path: str = "") -> Iterator[str]:
     """Names of all commands below one."""
     if isinstance(command, TyperGroup):
-        for name, one in command.commands.items():
-            yield from leaves(one, f"{path} {name}".strip())
+        for name in command.list_commands(None):
+            yield from leaves(command.get_command(None, name), f"{path} {name}".strip())
     else:
         yield path
 
@@ -389,7 +389,7 @@ ACCOUNTED = {
     "judge/sandbox/worker/child.py": "candidates and their models, in the sandbox",
     "judge/sandbox/worker/keeper.py": "the C library",
     "judge/sandbox/worker/wire.py": "requests of the parent, read in the sandbox",
-    "analysis/control.py": "code that ASIA printed from numbers of a design",
+    "control/design.py": "code that ASIA printed from numbers of a design",
     "analysis/validation.py": "checks of installed packages",
     "models/_reuse.py": "results of a worker, read in a worker",
     "models/controllers.py": "models of a control problem, in the sandbox",

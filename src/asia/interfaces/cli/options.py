@@ -12,7 +12,16 @@ from copy import copy
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeAlias,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import typer
 from typer.models import OptionInfo
@@ -294,6 +303,24 @@ class EngineOptions:
     ] = "local"
 
 
+# Commands and options of plug-ins.
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of a plug-in among the main commands of ASIA."""
+
+    run: Callable[..., None] | typer.Typer
+    after: str
+    """Command that it follows in `asia --help`."""
+
+
+AddedOptions: TypeAlias = Callable[..., None]
+"""Function of a plug-in with options of a command of ASIA. It receives a function without arguments
+that runs the command, the values of the command's own parameters by name, and its options by
+keyword."""
+
+
 # Groups of options as dataclasses, one field per option; short and full help.
 
 
@@ -302,26 +329,35 @@ def with_groups(
     brief_help: Collection[str] | None = None,
     *,
     prints_progress: Callable[[], bool] = lambda: False,
+    added: Sequence[AddedOptions] = (),
 ) -> Callable[..., None]:
     """Return the command for typer. Each parameter annotated with a dataclass is replaced by the
     fields of that dataclass, which keep their annotations and defaults. The option `--help-all`
     shows the options that `--help` hides.
 
     brief_help: parameters that `--help` shows; None: all that are not declared hidden.
-    prints_progress: whether the command does so by itself."""
+    prints_progress: whether the command does so by itself.
+    added: functions of plug-ins that add options."""
     hints = get_type_hints(command, include_extras=True)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    own = [(one, _added_parameters(one)) for one in added]
 
     @wraps(command)
     def called(**given: Any) -> None:
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         given.pop("help_all")
+        outer = [partial(one, **{name: given.pop(name) for name, *_ in p}) for one, p in own]
+        do: Callable[[], None] = partial(command, **given)
+        for one in outer:
+            do = partial(one, do, given)
         if prints_progress():
-            command(**given)
+            do()
             return
         with reported(command.__name__.strip("_"), lambda line: say(line, file=sys.stderr)):
-            command(**given)
+            do()
+
+    called.__doc__ = "\n\n".join(inspect.getdoc(one) or "" for one in (command, *added)).strip()
 
     # Name, annotation and default of each option.
     shown: list[tuple[str, Any, Any]] = []
@@ -329,10 +365,11 @@ def with_groups(
         if name not in groups:
             shown.append((name, hints[name], parameter.default))
             continue
-        own = get_type_hints(groups[name], include_extras=True)
+        hints_of_group = get_type_hints(groups[name], include_extras=True)
         for field in fields(groups[name]):
             default = inspect.Parameter.empty if field.default is MISSING else field.default
-            shown.append((field.name, own[field.name], default))
+            shown.append((field.name, hints_of_group[field.name], default))
+    shown += [parameter for _, parameters in own for parameter in parameters]
 
     some_hidden = False
     for place, (name, annotation, default) in enumerate(shown):
@@ -369,6 +406,15 @@ def with_groups(
     called.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportAttributeAccessIssue]
     called.__annotations__ = {p.name: p.annotation for p in parameters}
     return called
+
+
+def _added_parameters(one: AddedOptions) -> list[tuple[str, Any, Any]]:
+    """Name, annotation and default of each option that a function adds."""
+    hints, (_, _, *own) = (
+        get_type_hints(one, include_extras=True),
+        inspect.signature(one).parameters,
+    )
+    return [(name, hints[name], inspect.signature(one).parameters[name].default) for name in own]
 
 
 def given(group: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:
