@@ -2,6 +2,7 @@
 that the user names as `module:Name`; libraries and families. No name is read from a file."""
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -22,6 +23,7 @@ GROUPS = (
     "asia.validation_checks",
     "asia.commands",
     "asia.command_options",
+    "asia.report_sections",
 )
 OWN = "asia-sysid"
 """The package of ASIA, which brings parts by the same entry points as others."""
@@ -125,6 +127,19 @@ def parts() -> tuple[Part, ...]:
 def parts_of(group: str) -> tuple[Part, ...]:
     """The parts of one kind, by name. Raises UserError as `parts` does."""
     return tuple(part for part in parts() if part.group == group)
+
+
+def ordered(names: Sequence[str], after: Mapping[str, str | None]) -> list[str]:
+    """Return names with those of plug-ins among them.
+
+    Args:
+        after: for each name of a plug-in the name that it follows; at the end without one
+    """
+    found, waiting = [*names], dict(after)
+    while placed := [name for name, other in waiting.items() if other in found]:
+        for name in placed:
+            found.insert(found.index(str(waiting.pop(name))) + 1, name)
+    return [*found, *waiting]
 
 
 @dataclass(frozen=True)

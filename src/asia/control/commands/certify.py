@@ -69,11 +69,11 @@ def certify(
             say(line)
         return
     from asia.control.certificate import certify as find
+    from asia.control.report import CERTIFICATE_FILE
     from asia.export.pipeline import lowered_run
     from asia.ledger.run import open_run
     from asia.lowering.evaluation import evaluate
     from asia.lowering.linear import joined
-    from asia.report.page.sections.evidence import CERTIFICATE_FILE
 
     if loop:
         content, path = _certified_loop(
@@ -157,8 +157,8 @@ def _certified_loop(
     from asia.control.closed_loop import INPUTS, certify_loop
     from asia.control.commands.control import loop_of_run
     from asia.control.design import SampledController
+    from asia.control.report import CONTROL_FILE, LOOP_CERTIFICATE_FILE
     from asia.problem.load import load_lock
-    from asia.report.page.sections.evidence import CONTROL_FILE, LOOP_CERTIFICATE_FILE
     from asia.search.run import LOCK
 
     if model is not None and not model.isdecimal():

@@ -246,8 +246,8 @@ def control(
     files: list[Path] = []
     if out is not None:
         from asia.control.drawing import draw_control
+        from asia.control.report import CONTROL_FILE
         from asia.report.files import save
-        from asia.report.page.sections.evidence import CONTROL_FILE
 
         named = [(p.name, y, u) for p, (y, u) in zip(loop.simulated, responses, strict=True)]
         names, ends = (loop.y, loop.u), (low, high)

@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperGroup
 
 from asia._diagnostic import error_sentence
-from asia._plugins import Part, parts_of
+from asia._plugins import Part, ordered, parts_of
 from asia._text import say
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.interfaces.cli import agent as _agent
@@ -61,11 +61,7 @@ class Commands(TyperGroup):
         names, others = [*MAIN_COMMANDS, *MORE_COMMANDS], list[Part]()
         with suppress(UserError):
             others = [part for part in parts_of(PLUGINS) if part.name not in names]
-        places = {part.name: getattr(_loaded(part), "after", None) for part in others}
-        while placed := [name for name, after in places.items() if after in names]:
-            for name in placed:
-                names.insert(names.index(str(places.pop(name))) + 1, name)
-        return [*names, *places]
+        return ordered(names, {p.name: getattr(_loaded(p), "after", None) for p in others})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command, from a plug-in if it is none of this package; None if there is
