@@ -395,6 +395,7 @@ ACCOUNTED = {
     "models/controllers.py": "models of a control problem, in the sandbox",
     "models/simulator.py": "the user's simulator, in the sandbox; one of this package anywhere",
     "models/_equations/ode.py": "numbered variables, operators and functions of a table",
+    "report/page/subject.py": "sections of installed packages",
     "problem/metrics.py": "metrics of installed packages",
     "search/sinks.py": "sinks that the user names",
     "testing/family.py": "the author's own family",

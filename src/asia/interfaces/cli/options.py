@@ -12,16 +12,7 @@ from copy import copy
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import partial, wraps
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    Literal,
-    TypeAlias,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 from typer.models import OptionInfo
@@ -315,7 +306,7 @@ class Command:
     """Command that it follows in `asia --help`."""
 
 
-AddedOptions: TypeAlias = Callable[..., None]
+AddedOptions = Callable[..., None]
 """Function of a plug-in with options of a command of ASIA. It receives a function without arguments
 that runs the command, the values of the command's own parameters by name, and its options by
 keyword."""
@@ -338,9 +329,11 @@ def with_groups(
     brief_help: parameters that `--help` shows; None: all that are not declared hidden.
     prints_progress: whether the command does so by itself.
     added: functions of plug-ins that add options."""
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
-    own = [(one, _added_parameters(one)) for one in added]
+    groups: dict[str, Any] = {
+        name: hint for name, hint, _ in _parameters(command) if is_dataclass(hint)
+    }
+    # Name, annotation and default of each option.
+    own = [(one, [*_parameters(one)][2:]) for one in added]
 
     @wraps(command)
     def called(**given: Any) -> None:
@@ -359,16 +352,15 @@ def with_groups(
 
     called.__doc__ = "\n\n".join(inspect.getdoc(one) or "" for one in (command, *added)).strip()
 
-    # Name, annotation and default of each option.
     shown: list[tuple[str, Any, Any]] = []
-    for name, parameter in inspect.signature(command).parameters.items():
+    for name, annotation, default in _parameters(command):
         if name not in groups:
-            shown.append((name, hints[name], parameter.default))
+            shown.append((name, annotation, default))
             continue
-        hints_of_group = get_type_hints(groups[name], include_extras=True)
+        hints = get_type_hints(groups[name], include_extras=True)
         for field in fields(groups[name]):
             default = inspect.Parameter.empty if field.default is MISSING else field.default
-            shown.append((field.name, hints_of_group[field.name], default))
+            shown.append((field.name, hints[field.name], default))
     shown += [parameter for _, parameters in own for parameter in parameters]
 
     some_hidden = False
@@ -408,13 +400,11 @@ def with_groups(
     return called
 
 
-def _added_parameters(one: AddedOptions) -> list[tuple[str, Any, Any]]:
-    """Name, annotation and default of each option that a function adds."""
-    hints, (_, _, *own) = (
-        get_type_hints(one, include_extras=True),
-        inspect.signature(one).parameters,
-    )
-    return [(name, hints[name], inspect.signature(one).parameters[name].default) for name in own]
+def _parameters(function: Callable[..., None]) -> list[tuple[str, Any, Any]]:
+    """Name, annotation (None without one) and default of each parameter."""
+    hints = get_type_hints(function, include_extras=True)
+    known = inspect.signature(function).parameters.values()
+    return [(one.name, hints.get(one.name), one.default) for one in known]
 
 
 def given(group: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:
