@@ -16,21 +16,15 @@ from asia._text import say
 from asia.data.preprocess import Preparation
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
     ColumnNames,
     Experiment,
     Keys,
-    Runs,
     Time,
     TimeUnit,
-    candidate_level,
-    run_directory,
 )
 
 if TYPE_CHECKING:
     from asia.data.intake.sheet import Wanted
-    from asia.judge.sandbox.types import Isolation
 
 
 # Questions of asia init on a terminal; the columns found in the files are the defaults.
@@ -241,15 +235,6 @@ def init(
     ] = None,
     preparation: Preparation,
     keys: Keys = None,
-    control: Annotated[
-        str | None,
-        typer.Option(
-            help="Run whose models become the plant of a search for a controller. --inputs are "
-            "those of the controller, others disturbances; --outputs those with a set point."
-        ),
-    ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
     yes: Annotated[
         bool, typer.Option("--yes", help="Ask nothing: use the detected columns, and seal a test.")
     ] = False,
@@ -273,23 +258,8 @@ def init(
     - `role` of an input: "disturbance" (nobody sets it), "scheduling" (gain and poles follow it) or
       "time_step" (irregular samples)
 
-    asia init NAME --control RUN writes the problem of a search for a controller: the models of the
-    run are the plant, and the ranges of its records the limits.
-
     docs/problem.md and docs/use/simulator.md, in a clone of ASIA, say more.
     """
-    if control is not None:
-        other = replace(answers, inputs=[], outputs=[]), preparation, time, columns or None
-        if other != (InitAnswers(), Preparation(), None, None):
-            raise UserError("--control takes the records of the run: give --inputs, --outputs only")
-        _control_problem(
-            name,
-            run_directory(runs, control),
-            split_at_commas(answers.inputs),
-            split_at_commas(answers.outputs),
-            candidate_level(isolation),
-        )
-        return
     from asia.data.intake.sheet import Missing, Wanted
     from asia.data.store import key_folder
     from asia.problem.create import init_problem
@@ -365,16 +335,3 @@ def init(
     say(f"next     describe the system in {made.path.parent / 'description.md'}")
     say(f"         asia check {name}")
     say(f"         asia run {name}")
-
-
-def _control_problem(
-    name: Path, run: Path, inputs: Sequence[str], outputs: Sequence[str], isolation: Isolation
-) -> None:
-    """Write the control problem of a run, and print its ranges."""
-    from asia.export.control_problem import control_problem_of_run
-
-    made = control_problem_of_run(name, run, inputs, outputs, isolation=isolation)
-    for line in made.lines:
-        say(line)
-    say(f"wrote    {made.path}")
-    say(f"next     asia run {name}")

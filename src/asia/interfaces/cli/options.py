@@ -256,6 +256,24 @@ class EngineOptions:
     ] = "local"
 
 
+# Commands and options of plug-ins.
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of a plug-in among the main commands of ASIA."""
+
+    run: Callable[..., None] | typer.Typer
+    after: str
+    """Command that it follows in `asia --help`."""
+
+
+AddedOptions = Callable[..., None]
+"""Function of a plug-in with options of a command of ASIA. It receives a function without arguments
+that runs the command, the values of the command's own parameters by name, and its options by
+keyword."""
+
+
 # Groups of options as dataclasses, one field per option; short and full help.
 
 
@@ -264,6 +282,7 @@ def with_groups(
     brief_help: Collection[str] | None = None,
     *,
     prints_progress: Callable[[], bool] = lambda: False,
+    added: Sequence[AddedOptions] = (),
 ) -> Callable[..., None]:
     """Return the command for typer. Each parameter annotated with a dataclass is replaced by the
     annotated fields of that dataclass with their defaults. The annotation is an option of typer, or
@@ -271,36 +290,46 @@ def with_groups(
     hides.
 
     brief_help: parameters that `--help` shows; None: all that are not declared hidden.
-    prints_progress: whether the command does so by itself."""
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    prints_progress: whether the command does so by itself.
+    added: functions of plug-ins that add options."""
+    groups: dict[str, Any] = {
+        name: hint for name, hint, _ in _parameters(command) if is_dataclass(hint)
+    }
+    # Name, annotation and default of each option.
+    own = [(one, [*_parameters(one)][2:]) for one in added]
 
     @wraps(command)
     def called(**given: Any) -> None:
         for name, group in groups.items():
-            own = {f.name: given.pop(f.name) for f in fields(group) if f.name in given}
-            given[name] = group(**own)
+            values = {f.name: given.pop(f.name) for f in fields(group) if f.name in given}
+            given[name] = group(**values)
         given.pop("help_all")
+        outer = [partial(one, **{name: given.pop(name) for name, *_ in p}) for one, p in own]
+        do: Callable[[], None] = partial(command, **given)
+        for one in outer:
+            do = partial(one, do, given)
         if prints_progress():
-            command(**given)
+            do()
             return
         with reported(command.__name__.strip("_"), lambda line: say(line, file=sys.stderr)):
-            command(**given)
+            do()
 
-    # Name, annotation and default of each option.
+    called.__doc__ = "\n\n".join(inspect.getdoc(one) or "" for one in (command, *added)).strip()
+
     shown: list[tuple[str, Any, Any]] = []
-    for name, parameter in inspect.signature(command).parameters.items():
+    for name, annotation, default in _parameters(command):
         if name not in groups:
-            shown.append((name, hints[name], parameter.default))
+            shown.append((name, annotation, default))
             continue
-        own = get_type_hints(groups[name], include_extras=True)
+        hints = get_type_hints(groups[name], include_extras=True)
         for field in fields(groups[name]):
-            if get_origin(own[field.name]) is Annotated:
+            if get_origin(hints[field.name]) is Annotated:
                 default = inspect.Parameter.empty if field.default is MISSING else field.default
                 if field.default_factory is not MISSING:
                     default = field.default_factory()
-                option = _with_option(field.name, own[field.name], groups[name])
+                option = _with_option(field.name, hints[field.name], groups[name])
                 shown.append((field.name, option, default))
+    shown += [parameter for _, parameters in own for parameter in parameters]
 
     some_hidden = False
     for place, (name, annotation, default) in enumerate(shown):
@@ -354,6 +383,13 @@ def _with_option(name: str, annotation: Any, group: Any) -> Any:
     names = (f"--{name.replace('_', '-')}",) if kind is bool else ()
     panel = getattr(group, "panel", None)
     return Annotated[kind, typer.Option(*names, help=text, rich_help_panel=panel, **limits)]
+
+
+def _parameters(function: Callable[..., None]) -> list[tuple[str, Any, Any]]:
+    """Name, annotation (None without one) and default of each parameter."""
+    hints = get_type_hints(function, include_extras=True)
+    known = inspect.signature(function).parameters.values()
+    return [(one.name, hints.get(one.name), one.default) for one in known]
 
 
 def given(group: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:

@@ -100,11 +100,11 @@ def comparison_part(compared: Sequence[Compared]) -> Markup:
         title, metric = "Best V so far over the experiments", subjects[0].run.metric
         curves = picture(partial(draw_comparison, found, {}, metric, title), title)
     chosen = [(one, e) for one in compared for e in one.experiments]
+    names = [*COSTS, *dict.fromkeys(name for one in subjects for name in one.costs)]
     costs = [
-        [cost_of(one.subject, e, k) if e.result else None for k in range(len(COSTS))]
-        for one, e in chosen
+        [cost_of(one.subject, e, name) if e.result else None for name in names] for one, e in chosen
     ]
-    known = [k for k in range(len(COSTS)) if any(row[k] for row in costs)]
+    known = [k for k in range(len(names)) if any(row[k] for row in costs)]
     settings = _settings(chosen)
     return fill(
         "comparison.html",
@@ -125,7 +125,7 @@ def comparison_part(compared: Sequence[Compared]) -> Markup:
             )
             for (one, e), row in zip(chosen, costs, strict=True)
         ],
-        costs=[COSTS[k] for k in known],
+        costs=[names[k] for k in known],
         decimals=decimals_of([e for _, e in chosen]),
         settings=settings,
         common=sum(is_same for _, _, is_same in settings),

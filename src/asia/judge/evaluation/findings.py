@@ -186,11 +186,8 @@ def known_system(problem: Problem) -> KnownSystem:
 def search_context(problem: Problem, seed: int) -> Context:
     """Return the context of a search with this derived seed, without the fields that differ by
     fold."""
-    system = known_system(problem)
-    if problem.control is not None:
-        # The plant of a control problem, as for its identification.
-        plant = known_system(replace(problem.control.base, plant=None))
-        system = replace(plant, control=system.control)
-        problem = problem.control.base
-    kept = problem.preprocess
+    # Of a control problem: signals and equations of its plant, and the task.
+    system = known_system(problem.identification)
+    system = replace(system, control=known_system(problem).control)
+    kept = problem.identification.preprocess
     return Context(**system.known(), detrend=kept.detrend, scale=kept.scale, seed=seed)

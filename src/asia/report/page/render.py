@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ from asia.report.page.formulas import equations
 _FOLDER: Final = PACKAGE / "report" / "page" / "templates"
 
 
+@cache
 def environment(*folders: Path) -> Environment:
     """Return the templates of folders and those of the report. A text is escaped and loses its
     control characters; None is an empty text; a name that a template does not receive is an
@@ -44,12 +46,9 @@ def _finalized(value: Any) -> Any:
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
-_REPORT: Final = environment()
-
-
-def render(template: str, **values: Any) -> Markup:
-    """Fill a template of the report."""
-    return Markup(_REPORT.get_template(template).render(values))
+def render(template: str, *folders: Path, **values: Any) -> Markup:
+    """Fill a template of the report, or of other folders."""
+    return Markup(environment(*folders).get_template(template).render(values))
 
 
 def picture(draw: Callable[[], Figure], alt: str, width: float = WIDE) -> Markup:

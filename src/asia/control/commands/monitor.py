@@ -16,7 +16,7 @@ from asia.interfaces.cli.options import RunOptions
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from asia.export.monitor import MonitoredRecord
+    from asia.control.monitor import MonitoredRecord
 
 
 def monitor(
@@ -52,7 +52,7 @@ def monitor(
     An observer estimates the states, and the parameters that are named, sample by sample. The exit
     code is 1 where the model is not valid at the end of a record.
     """
-    from asia.export.monitor import Monitor
+    from asia.control.monitor import Monitor
     from asia.report.files import save
 
     if len(words) > 2:
@@ -96,7 +96,7 @@ def monitor(
 
 
 def _picture(found: MonitoredRecord) -> Figure:
-    from asia.report.pictures.analysis import draw_monitor
+    from asia.control.drawing import draw_monitor
 
     owner, step, first = found.monitor, found.monitor.sampling_time, found.first
     samples = found.samples

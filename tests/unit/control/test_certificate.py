@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asia.analysis.certificate import certify
-from asia.analysis.certificate_check import check_certificate, digest, prove
+from asia.control.certificate import certify
+from asia.control.certificate_check import check_certificate, digest, prove
 from asia.errors import UserError
 from asia.lowering.enclosure import enclose, interval
 from asia.lowering.evaluation import evaluate

@@ -20,7 +20,7 @@ from asia.interfaces.cli.options import RunName, RunOptions
 from asia.interfaces.cli.output import plain
 
 if TYPE_CHECKING:
-    from asia.analysis.control import (
+    from asia.control.design import (
         Design,
         Loop,
         LoopFigures,
@@ -146,7 +146,7 @@ def control(
     """Design a PID or lead-lag controller, an LQR or a predictive controller that meets
     specifications, for the linear model of a run and of all its fold models, or for a transfer
     function; simulate the loop with all models, and write the controller as code."""
-    from asia.analysis.control import (
+    from asia.control.design import (
         Limits,
         Loop,
         SampledController,
@@ -157,7 +157,7 @@ def control(
         shortfalls,
         simulate_loop,
     )
-    from asia.analysis.state_feedback import state_feedback_designer
+    from asia.control.state_feedback import state_feedback_designer
 
     wanted = Specification(
         2.0 if gain_margin is None else gain_margin,
@@ -245,9 +245,9 @@ def control(
         )
     files: list[Path] = []
     if out is not None:
+        from asia.control.drawing import draw_control
+        from asia.control.report import CONTROL_FILE
         from asia.report.files import save
-        from asia.report.page.sections.evidence import CONTROL_FILE
-        from asia.report.pictures.analysis import draw_control
 
         named = [(p.name, y, u) for p, (y, u) in zip(loop.simulated, responses, strict=True)]
         names, ends = (loop.y, loop.u), (low, high)
@@ -337,8 +337,8 @@ def loop_of_run(
     run: linear models for the design, in continuous time as transfer functions, and nonlinear ones
     for the simulation. The inputs beside the chosen one are held at the operating point; a line on
     each of them is the second result."""
-    from asia.analysis.closed_loop import single_loop
-    from asia.analysis.control import Loop, SimulatedPlant, Transfer
+    from asia.control.closed_loop import single_loop
+    from asia.control.design import Loop, SimulatedPlant, Transfer
     from asia.export.linear import LinearPoint, linearize
     from asia.ledger.run import open_run
     from asia.lowering.evaluation import evaluate

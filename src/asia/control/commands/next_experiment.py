@@ -19,7 +19,7 @@ from asia.errors import UserError
 from asia.interfaces.cli.options import RunName, RunOptions
 
 if TYPE_CHECKING:
-    from asia.analysis.experiment_design import Judged, RunExperiment
+    from asia.control.experiment_design import Judged, RunExperiment
 
 
 def next_(
@@ -56,10 +56,10 @@ def next_(
     models differ, within limits of inputs and of the expected outputs."""
     if not duration > 0:
         raise UserError("--duration is missing: give the length of the record in s")
-    from asia.analysis.experiment_design import next_experiment
+    from asia.control.drawing import draw_experiment
+    from asia.control.experiment_design import next_experiment
     from asia.problem.load import load_lock
     from asia.report.files import save
-    from asia.report.pictures.analysis import draw_experiment
     from asia.search.run import LOCK
 
     directory = options.directory(run)

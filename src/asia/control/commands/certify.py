@@ -61,19 +61,19 @@ def certify(
 ) -> None:
     """Prove statements on a model, or on the closed loop with a controller: stability and gains
     where they are linear, bounds of the outputs. Without a proof there is no certificate."""
-    from asia.analysis.certificate_check import check_certificate
+    from asia.control.certificate_check import check_certificate
 
     if check is not None:
         proven = check_certificate(check)
         for line in [jsonlib.dumps(proven)] if options.json else [f"proven    {s}" for s in proven]:
             say(line)
         return
-    from asia.analysis.certificate import certify as find
+    from asia.control.certificate import certify as find
+    from asia.control.report import CERTIFICATE_FILE
     from asia.export.pipeline import lowered_run
     from asia.ledger.run import open_run
     from asia.lowering.evaluation import evaluate
     from asia.lowering.linear import joined
-    from asia.report.page.sections.evidence import CERTIFICATE_FILE
 
     if loop:
         content, path = _certified_loop(
@@ -127,7 +127,7 @@ def _facts(
 
 
 def _write(content: dict[str, Any], path: Path, *, json: bool) -> None:
-    from asia.analysis.certificate import text_lines
+    from asia.control.certificate import text_lines
 
     path.write_text(jsonlib.dumps(content) + "\n", "utf-8")
     lines = [f"run {content['run']}, model {content['model']}", *text_lines(content)]
@@ -154,11 +154,11 @@ def _certified_loop(
 ) -> tuple[dict[str, Any], Path]:  # fmt: skip
     """Certificate of the loop with the controller of `asia control`, and its file."""
     from asia._files import read_file
-    from asia.analysis.closed_loop import INPUTS, certify_loop
-    from asia.analysis.control import SampledController
-    from asia.interfaces.cli.control import loop_of_run
+    from asia.control.closed_loop import INPUTS, certify_loop
+    from asia.control.commands.control import loop_of_run
+    from asia.control.design import SampledController
+    from asia.control.report import CONTROL_FILE, LOOP_CERTIFICATE_FILE
     from asia.problem.load import load_lock
-    from asia.report.page.sections.evidence import CONTROL_FILE, LOOP_CERTIFICATE_FILE
     from asia.search.run import LOCK
 
     if model is not None and not model.isdecimal():

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from asia._progress import tracked
-from asia.analysis.control import (
+from asia.control.design import (
     ControlledPlant,
     Design,
     Designer,

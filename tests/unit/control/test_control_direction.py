@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from asia.analysis.control import Specification, Transfer, design, loop_figures
+from asia.control.design import Specification, Transfer, design, loop_figures
 
 
 def test_a_stable_plant_with_inverse_response_gets_a_controller_of_its_final_sign() -> None:

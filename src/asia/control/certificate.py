@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from asia.analysis.certificate_check import (
+from asia.control.certificate_check import (
     FORMAT,
     digest,
     forever,

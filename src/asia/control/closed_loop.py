@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from asia.analysis.certificate import certify
-from asia.analysis.certificate_check import FORMAT, common_sentences, digest
-from asia.analysis.control import Loop, SampledController, SimulatedPlant
+from asia.control.certificate import certify
+from asia.control.certificate_check import FORMAT, common_sentences, digest
+from asia.control.design import Loop, SampledController, SimulatedPlant
 from asia.data.trajectory import Array
 from asia.lowering.linear import OperatingPoint, split
 from asia.lowering.program import Builder, LoweredModel, inlined

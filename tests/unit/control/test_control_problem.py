@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import asia
+from asia.control.control_problem import control_problem_of_run
 from asia.errors import UserError
-from asia.export.control_problem import control_problem_of_run
 from asia.export.linear import linearize
 from asia.judge.evaluation import references
 from asia.judge.scoring.outcome import Score

@@ -20,7 +20,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asia.analysis.control import (
+from asia.control.commands.control import chosen, pid_gains, rational
+from asia.control.design import (
     ControlledPlant,
     Loop,
     LoopFigures,
@@ -40,7 +41,6 @@ from asia.analysis.control import (
 )
 from asia.data.trajectory import Signal
 from asia.errors import UserError
-from asia.interfaces.cli.control import chosen, pid_gains, rational
 from tests.unit.interfaces.cli.conftest import command_line
 
 

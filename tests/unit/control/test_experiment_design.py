@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.analysis.experiment_design import (
+from asia.control.experiment_design import (
     InputLimits,
     Judge,
     Subject,

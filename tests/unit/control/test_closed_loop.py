@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asia.analysis.certificate_check import check_certificate, digest
-from asia.analysis.closed_loop import certify_loop, closed_loop, loop_start, single_loop
-from asia.analysis.control import (
+from asia.control.certificate_check import check_certificate, digest
+from asia.control.closed_loop import certify_loop, closed_loop, loop_start, single_loop
+from asia.control.design import (
     Loop,
     SampledController,
     SimulatedPlant,
@@ -24,7 +24,7 @@ from asia.errors import UserError
 from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import OperatingPoint, joined, split
 from asia.lowering.program import Builder, LoweredModel
-from tests.unit.analysis.test_certificate import linear, tank
+from tests.unit.control.test_certificate import linear, tank
 
 A, B, C = np.array([[0.9, 0.1], [0.0, 0.7]]), np.array([[0.0], [0.3]]), np.array([[1.0, 0.0]])
 PLANT = linear(A, B, C, 0.0)

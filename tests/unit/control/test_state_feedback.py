@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from asia.analysis.control import (
+from asia.control.design import (
     Limits,
     Loop,
     SampledController,
@@ -25,11 +25,11 @@ from asia.analysis.control import (
     simulate_loop,
     zero_order_hold,
 )
-from asia.analysis.state_feedback import PredictiveController, state_feedback_designer
+from asia.control.state_feedback import PredictiveController, state_feedback_designer
 from asia.errors import UserError
 from asia.lowering.linear import LinearModel
+from tests.unit.control.test_control_command import c_step, matrix_step, python_step, st_step
 from tests.unit.interfaces.cli.conftest import command_line
-from tests.unit.interfaces.cli.test_control import c_step, matrix_step, python_step, st_step
 
 WANTED = Specification(2.0, 45.0, None, 8.0, 10.0, 1e-3)
 LAGS = Transfer(np.array([2.0]), np.array([1.0, 1.2, 1.0]), 0.13)

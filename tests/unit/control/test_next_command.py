@@ -12,8 +12,8 @@ import pytest
 import asia as library
 from asia.agents.leading import LeadingAgent, LeadingCandidate, leading_settings
 from asia.agents.registry import recorded_agent
+from asia.control.commands.next_experiment import _kept, _named, _span  # pyright: ignore[reportPrivateUsage]
 from asia.errors import UserError
-from asia.interfaces.cli.next_experiment import _kept, _named, _span  # pyright: ignore[reportPrivateUsage]
 from asia.ledger.run import open_run
 from asia.search.extension import extended_problem, leading_experiments
 from tests.unit.interfaces.cli.conftest import command_line

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.analysis.monitor import (
+from asia.control.observer import (
     Filter,
     Method,
     MonitorSample,
@@ -222,9 +222,10 @@ def test_gains_and_offsets_of_signals_are_states(
 
 
 def test_the_observer_in_c_gives_the_same_to_1e_9(observer: Observer, tmp_path: Path) -> None:
+    from asia.control.observer_c import observed, observer_files
     from asia.data.trajectory import Signal
     from asia.export.model import ExportModel
-    from asia.export.targets.c import c_compiler, observed, observer_files
+    from asia.export.targets.c import c_compiler
 
     compiler = c_compiler()
     if compiler is None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from asia._text import suggestion
-from asia.analysis.monitor import (
+from asia.control.observer import (
     Filter,
     Method,
     MonitorSample,
@@ -21,6 +21,7 @@ from asia.analysis.monitor import (
     augmented,
     make_observer,
 )
+from asia.control.observer_c import observed, observer_files
 from asia.data.intake.formats import file_format
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.timestamps import time_column
@@ -31,7 +32,7 @@ from asia.export.linear import StepModels, step_models
 from asia.export.model import ExportModel
 from asia.export.pipeline import measured
 from asia.export.target import DOUBLE, ParityRow
-from asia.export.targets.c import c_compiler, example_csv, observed, observer_files
+from asia.export.targets.c import c_compiler, example_csv
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run, open_run
 from asia.lowering.evaluation import evaluate
