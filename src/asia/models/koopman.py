@@ -36,6 +36,8 @@ __all__ = ["Config", "NetworkModel", "build", "train"]
 
 # A pole nearer to the unit circle is rounded onto it.
 _SLOWEST_RATE = 1e-6
+# Largest initial rotation of a state in one sample, in rad.
+_LARGEST_ANGLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -52,15 +54,12 @@ class Config:
     """Units of the inner layer of both lifts."""
     tau_max: float = 100.0
     """Slowest of the log-spaced initial time constants, in samples; the fastest is 1."""
-    angle_max: float = 0.5
-    """Largest initial rotation of a state in one sample, in rad, at most pi."""
     features: tuple[str, ...] = ()
     """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "levels", "states", "lift", "width")
         demand(self, "tau_max", self.tau_max >= 1, "at least 1 sample")
-        demand(self, "angle_max", 0 <= self.angle_max <= np.pi, "an angle in [0, pi]")
         check_features(self)
 
 
@@ -79,7 +78,7 @@ class KoopmanMap(Driven[Config]):
             "levels": [
                 {
                     "log_rate": -log_spaced(1.0, c.tau_max, c.states),
-                    "angle": rng.uniform(0.0, c.angle_max, c.states).astype(np.float32),
+                    "angle": rng.uniform(0.0, _LARGEST_ANGLE, c.states).astype(np.float32),
                     "b": dense(rng, lifted, 2 * c.states),
                     "left": dense(rng, 2 * level * c.states, 2 * c.states),
                     "right": dense(rng, lifted, 2 * c.states),
