@@ -6,8 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from asia.ledger.events import (
     Refitted,
     Stack,
     StackMember,
+    Use,
 )
 from asia.ledger.evidence import EstimatedModel, findings_of, fold_estimates, put_estimates
 from asia.ledger.run import ModelToUse
@@ -48,16 +48,16 @@ from asia.search.fair_trial import behind_least, evaluation_of
 from asia.search.guard import Gate
 from asia.search.stress import StressRoom, bounded_model
 
-# Check of a refit: it saw all training records and must fit them as well as the fold models do.
+# One model of all training records: a refit, unless the ensemble or a fold model fits them better.
 
 
 STARTS = 3
-# Maximum error of a refit relative to the median fold model: above it, it does not fit its data.
+# Error of a refit, or of the ensemble, relative to the least one, above which it ended in a poorer
+# minimum.
 FALLS_SHORT = 1.2
-# Negligible error, in standard deviations of the output.
-NEGLIGIBLE = 1e-4
 
 Answers = tuple[Array, ...]
+FinalKind = Literal["refit", "ensemble", "fold"]
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,9 @@ class CheckedRefit:
     """A refit that was compared with the fold models."""
 
     model: bytes | None
-    """The start that was kept; None where something speaks against all of them."""
+    """The start that was kept, or a fold model in its place; None where there is neither."""
     detail: str
+    """Why there is none, or why it is a fold model."""
     check: RefitCheck | None
     """The comparison; None where it could not be made."""
     estimates: ParameterEstimates | None = None
@@ -79,12 +80,16 @@ def check_refit(
     first: RefitModel | CandidateError,
     metric: str,
 ) -> CheckedRefit:
-    """Compare a refit with the fold models on the training records; where something speaks against
-    it, fit again from other seeds. first: the refit as `Evaluator.refit` made it."""
+    """Compare a refit with the ensemble and the fold models on the training records; where one of
+    them fits these clearly better, fit again from other seeds. A fold model that fits them clearly
+    better than refits and ensemble takes the place of the refit: these ended in poorer minima.
+    first: the refit as `Evaluator.refit` made it."""
     comparison = _Comparison(evaluator, source, metric, fold_models)
     tried: list[RefitModel | CandidateError] = []
     models: list[bytes] = []
-    while len(tried) < STARTS:
+    kind: FinalKind = "ensemble"
+    place = 0
+    while len(tried) < STARTS and kind != "refit":
         fitted = first if not tried else evaluator.refit_again(source, len(tried))
         if isinstance(fitted, RefitModel):
             if fitted.model in models:
@@ -92,14 +97,24 @@ def check_refit(
             models.append(fitted.model)
         tried.append(fitted)
         comparison.add(fitted.model if isinstance(fitted, RefitModel) else fitted)
-        if comparison.result.kept is not None:
-            break
-    check = comparison.result
-    if check.kept is None:
-        return CheckedRefit(None, none_words(comparison.causes), check)
-    kept = tried[check.kept - 1]
-    assert isinstance(kept, RefitModel)
-    return CheckedRefit(kept.model, "", check, kept.estimates)
+        kind, place = comparison.best()
+    check = comparison.result(place + 1 if kind == "refit" else None)
+    if kind == "refit":
+        kept = tried[place]
+        assert isinstance(kept, RefitModel)
+        return CheckedRefit(kept.model, "", check, kept.estimates)
+    refits = [start.value for start in check.starts if start.value is not None and not start.failed]
+    detail = none_words(comparison.causes)
+    if refits:
+        detail = f"the refit has an error of {error_value(min(refits))} on the training records"
+        if check.ensemble_error is not None:
+            detail += f", the ensemble {error_value(check.ensemble_error)}"
+    if kind == "ensemble":
+        return CheckedRefit(None, detail, check)
+    error = check.fold_errors[place]
+    assert error is not None
+    detail = f"{detail}, the model of fold {place + 1} {error_value(error)}, which takes its place"
+    return CheckedRefit(fold_models[place], detail, check)
 
 
 _COUNT = {2: "both", 3: "all three"}
@@ -145,6 +160,7 @@ class _Comparison:
         answers = evaluator.models.simulate_training(source, fold_models)
         sound = [one for one in answers if not isinstance(one, CandidateError)]
         self._mean = mean_simulation(sound) if len(sound) == len(answers) else None
+        self._ensemble_error = None if self._mean is None else self._error(self._mean)
         self._fold_errors = tuple(
             None if isinstance(one, CandidateError) else self._error(one) for one in answers
         )
@@ -156,21 +172,31 @@ class _Comparison:
             ]
             self._fold_disagreement = float(np.mean(apart))
 
-    @property
-    def result(self) -> RefitCheck:
-        """Return the findings so far. The start with the lowest error that nothing speaks against
-        is kept."""
-        errors = [
-            (start.value, number)
-            for number, start in enumerate(self._starts, 1)
-            if start.value is not None and not start.failed
-        ]
+    def best(self) -> tuple[FinalKind, int]:
+        """The first of refits, ensemble and fold models whose error on the training records is not
+        clearly above the least, and its place among those of its kind."""
+        errors: dict[tuple[FinalKind, int], float] = {}
+        kinds: tuple[tuple[FinalKind, Sequence[float | None]], ...] = (
+            ("refit", [None if start.failed else start.value for start in self._starts]),
+            ("ensemble", [self._ensemble_error]),
+            ("fold", self._fold_errors),
+        )
+        for kind, values in kinds:
+            known = [(value, i) for i, value in enumerate(values) if value is not None]
+            if known:
+                value, place = min(known)
+                errors[kind, place] = value
+        most = FALLS_SHORT * min(errors.values(), default=0.0)
+        return next((one for one, value in errors.items() if value <= most), ("ensemble", 0))
+
+    def result(self, kept: int | None) -> RefitCheck:
+        """Return the findings. kept: the start that is the refit, 1-based."""
         return RefitCheck(
             fold_errors=self._fold_errors,
-            ensemble_error=None if self._mean is None else self._error(self._mean),
+            ensemble_error=self._ensemble_error,
             fold_disagreement=self._fold_disagreement,
             starts=tuple(self._starts),
-            kept=min(errors)[1] if errors else None,
+            kept=kept,
         )
 
     def add(self, model: bytes | CandidateError) -> None:
@@ -185,17 +211,9 @@ class _Comparison:
             self.causes.append(cause_of(answers))
             self._starts.append(replace(start, failed=f"its simulation failed: {answers}"))
             return
-        error = self._error(answers)
-        usual = [one for one in self._fold_errors if one is not None]
-        text = cause = ""
+        error, text, cause = self._error(answers), "", ""
         if error is None:
             text, cause = "its error on the training records is not finite", "diverged"
-        elif usual and error > FALLS_SHORT * median(usual) + NEGLIGIBLE:
-            own, other = error_value(error), error_value(median(usual))
-            text = f"its error on its own training records is {own}, that of a fold model {other}"
-            cause = (
-                f"does not fit its own training records (error {own}, that of a fold model {other})"
-            )
         else:
             failure = self._evaluator.refit_objection(self._source, model, answers)
             if failure is not None:
@@ -218,14 +236,14 @@ class _Comparison:
         return float(np.mean(np.sqrt(np.mean(apart**2, axis=0)) / self._evaluator.data.scale))
 
 
-def choose_model(single: Array, stack: Array | None, why_no_refit: str = "") -> ModelToUse:
+def choose_model(single: Array, stack: Array | None, refitted: Refitted) -> ModelToUse:
     """The model to use: a stack whose error on held-out records is more than one standard error
     below that of the best candidate, else the refit, else the ensemble.
 
     Args:
         single: errors (n,) of the best candidate on parts of the held-out records
         stack: those of the stack on the same parts; None where there is none
-        why_no_refit: in words; "" where there is a refit
+        refitted: the refit, and why there is none
     """
     if stack is not None:
         behind, deviation = behind_least({"single": single, "stack": stack})
@@ -236,9 +254,11 @@ def choose_model(single: Array, stack: Array | None, why_no_refit: str = "") -> 
                 f"On parts of the held-out records its error is {both[0]}, that of the best "
                 f"candidate {both[1]}: lower by more than one standard error.",
             )
-    if why_no_refit:
-        return ModelToUse("ensemble", f"{why_no_refit[:1].upper()}{why_no_refit[1:]}.")
-    return ModelToUse("refit", "It was fitted to all training records.")
+    use: Use = "ensemble" if refitted.model is None else "refit"
+    why = refitted.detail or (
+        "it was fitted to all training records" if use == "refit" else "there is no refit"
+    )
+    return ModelToUse(use, f"{why[:1].upper()}{why[1:]}.")
 
 
 # Few folds say little about weights that are fitted to them: weights by V alone predict as well.
@@ -394,11 +414,10 @@ def refit_best(
     )
     if problem.control is not None:
         return replace(refitted, failed_checks=tuple(failed), **_chosen_controller(refitted))
-    why = "" if refitted.model is not None else refitted.detail or "there is no refit"
     folds = zip(best.folds, evaluator.data.folds, strict=True)
     answers = [store.get_arrays(one.y_hat, fold.shapes) for one, fold in folds]
     single = held_out_errors(evaluator, answers, metric)
-    chosen = choose_model(single, made and made[1], why)
+    chosen = choose_model(single, made and made[1], refitted)
     refused: set[int] = set()
     while made is not None and (chosen.model == "stack" or made[0].value < best.score.value):
         members = [view.experiment(m.experiment) for m in made[0].members]
@@ -407,11 +426,11 @@ def refit_best(
             break
         refused |= wrong
         made = stacked(refused) if wrong else None
-        chosen = choose_model(single, made and made[1], why)
+        chosen = choose_model(single, made and made[1], refitted)
     refitted = replace(refitted, stack=made and made[0], use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
         room = StressRoom(evaluator, store, view, integrating(problem_facts(problem).records))
-        second = choose_model(single, None, why).model
+        second = choose_model(single, None, refitted).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     with diagnostic("feedback on the inputs", failed):
         found = unheeded_feedback(problem, store.text(best.source))
@@ -472,9 +491,9 @@ def _is_sound_in_loop(problem: Problem, source: str) -> bool:
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit, best: Experiment) -> str | None:
-    """Those of the refit; without one, those of the fold models."""
+    """Those of the refit; without one of all records, those of the fold models."""
     found: ParameterEstimates | EstimatedModel | None = checked.estimates
-    if checked.model is None:
+    if checked.detail:
         findings = findings_of(store, best)
         found = fold_estimates([dict(one.parameters) for one in findings])
     if found is None or not found.parameters:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from asia.data import Array
-from asia.ledger.events import Use
+from asia.ledger.events import Refitted, Use
 from asia.search.final import MOST_MEMBERS, NEAR, choose_model, stack_weights
 
 values = arrays(
@@ -59,7 +61,8 @@ FAR = np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0])
 def test_a_stack_is_used_where_it_is_better_than_one_standard_error(
     single: Array, stack: Array | None, use: Use
 ) -> None:
-    assert choose_model(single, stack).model == use
-    without = choose_model(single, stack, "the refit diverged")
+    refitted = Refitted(1, "model", "")
+    assert choose_model(single, stack, refitted).model == use
+    without = choose_model(single, stack, replace(refitted, model=None, detail="it diverged"))
     assert without.model == ("ensemble" if use == "refit" else use)
-    assert use == "stack" or without.reason == "The refit diverged."
+    assert use == "stack" or without.reason == "It diverged."
