@@ -23,7 +23,6 @@ SECTIONS: Final[tuple[Section, ...]] = (
     evidence.VALIDATION,
     evidence.CONFIRMATION,
     verdict.TESTED,
-    evidence.BANDS,
     verdict.HANDOVER,
     experiments.PROGRESS,
     experiments.TRADEOFF,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import asia
-from asia.interfaces.cli.output import verdict_lines
+from asia.interfaces.cli.output import verdict_facts
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 
@@ -19,9 +19,7 @@ def test_a_model_that_says_nothing_is_doubted(tmp_path: Path, driven: bool) -> N
         table = np.column_stack([rng.normal(size=240), rng.normal(size=240)])
         np.savetxt(problem / "train.csv", table, delimiter=",", header="u,y", comments="")
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
-    lines = verdict_lines(run.view)
-    assert lines[0].startswith("verdict not usable") == (not driven)
-    assert any(line.strip().startswith("It is worse than the mean") for line in lines) == (
-        not driven
-    )
+    lines = [text for _, text in verdict_facts(run.view)]
+    assert lines[0].startswith("not usable") == (not driven)
+    assert any(line.startswith("It is worse than the mean") for line in lines) == (not driven)
     assert ('kind = "windows"' in " ".join(lines)) == (not driven)
