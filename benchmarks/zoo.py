@@ -176,7 +176,7 @@ def print_lost(found: dict[str, list[dict[str, Any]]]) -> None:
         for events in searches:
             linear = next(
                 e["outcome"]["value"] for e in events
-                if e["event"] == "rung" and e["name"] == "linear model"
+                if e["event"] in ("reference", "rung") and e["name"] == "linear model"
             )  # fmt: skip
             outcomes = [e["outcome"] for e in events if e["event"] == "evaluated"][1:]
             ratios += [o["value"] / linear for o in outcomes if "value" in o]

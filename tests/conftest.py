@@ -25,7 +25,6 @@ QUICK = Path(__file__).parent / "quick"
 _RUNG = "asia.judge.evaluation.references.LINEAR"
 _LONG = (
     "agents",
-    "assurance",
     "interfaces",
     "contract",
     "models",

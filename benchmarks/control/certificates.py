@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "models"))
 from exports import ready, settings
 
 from asia.agents.library.registry import all_families
-from asia.analysis.certificate import certify
+from asia.control.certificate import certify
 from asia.lowering.derivatives import derivatives
 from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import joined, split

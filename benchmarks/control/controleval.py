@@ -21,7 +21,7 @@ from typing import Any
 import control
 import numpy as np
 
-from asia.analysis.control import Specification, Transfer, design
+from asia.control.design import Specification, Transfer, design
 
 warnings.simplefilter("ignore")
 

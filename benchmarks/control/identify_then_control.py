@@ -26,7 +26,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from asia.analysis.control import (
+from asia.candidate import Context
+from asia.control.design import (
     Limits,
     Loop,
     SampledController,
@@ -39,8 +40,7 @@ from asia.analysis.control import (
     response_figures,
     simulate_loop,
 )
-from asia.analysis.state_feedback import state_feedback_designer
-from asia.candidate import Context
+from asia.control.state_feedback import state_feedback_designer
 from asia.data import Signal, Trajectory
 from asia.data.trajectory import Array
 from asia.errors import UserError

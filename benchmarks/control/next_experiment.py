@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from asia.analysis.experiment_design import InputLimits, Subject, design_experiment
 from asia.candidate import Context
+from asia.control.experiment_design import InputLimits, Subject, design_experiment
 from asia.data import Signal, Trajectory
 from asia.judge.scoring.bands import HeldOutErrors, error_sizes, output_bands, region_of
 from asia.models import linear, narx, neural_ss

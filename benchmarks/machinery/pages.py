@@ -34,10 +34,8 @@ def main() -> None:
     pictures = [
         ("run", page, ""),
         ("trade-offs", page, "tradeoff"),
-        ("timeline", page, "timeline"),
         ("simulations", f"{page}/simulations", ""),
         ("overlay", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "overlays"),
-        ("settings", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "settings"),
         ("linear", f"{page}/linear", ""),
         *([("search", real, "progress")] if given.real else []),
     ]

@@ -21,13 +21,13 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 
-from asia.agents.library.recipe import read_recipe
 from asia.ledger.evidence import findings_of
 from asia.ledger.run import Run, open_run
 from asia.ledger.view import Experiment
 from asia.presentation.experiments import decision_text
 from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
+from asia.recipe import read_recipe
 from asia.report.pictures.simulation import draw_simulation
 from asia.search.sinks import TrackioSink
 

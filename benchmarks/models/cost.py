@@ -21,11 +21,11 @@ from scipy.optimize import nnls
 
 from asia._timer import Activity
 from asia.agents.library.family import Timing, work
-from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
 from asia.ledger.artifacts import Store
 from asia.ledger.run import open_run
 from asia.problem.load import load_lock
+from asia.recipe import read_recipe
 from asia.search.agent_views import problem_facts
 
 LEAST_SHARE = 0.1

@@ -1,6 +1,6 @@
 """Neural families on one shared nonlinear system, and on the measured cascaded tanks.
 
-    python benchmarks/models/families_neural.py [--families lru,cnn] [--tanks]
+    python benchmarks/models/families_neural.py [--families ltc,cnn] [--tanks]
 
 The first table is the simulation error against the noise-free truth of an unseen record, over that
 of the best linear model (order chosen inside the training data): below 0.5 a family earns its
@@ -29,7 +29,6 @@ from asia.models import (
     cnn,
     koopman,
     linear,
-    lru,
     ltc,
     recurrent,
     subnet,
@@ -66,9 +65,6 @@ ROWS = {
     ),
     "autoregressive": Row(
         autoregressive, {}, Adam(1000, 5e-3, truncation=64), {}, Adam(1000, 3e-3, truncation=128)
-    ),
-    "lru": Row(
-        lru, {}, Adam(1000, 3e-3, truncation=128), {}, Adam(1000, 3e-3, 1e-2, truncation=256)
     ),
     "koopman": Row(
         koopman,

@@ -31,7 +31,7 @@ from scipy.signal import lfilter
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.models import cnn, lru, ltc, neural_ss, nl_lfr, recurrent, subnet, transformer
+from asia.models import cnn, ltc, neural_ss, nl_lfr, recurrent, subnet, transformer
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models.methods import Adam
 
@@ -39,7 +39,6 @@ Record = Sequence[Trajectory]
 NETWORKS: dict[str, tuple[Any, dict[str, Any]]] = {
     "lstm": (recurrent, {"cell": "lstm"}),
     "ltc": (ltc, {}),
-    "lru": (lru, {}),
     "cnn": (cnn, {}),
     "transformer": (transformer, {}),
     "subnet": (subnet, {}),

@@ -20,7 +20,6 @@ from typing import Any, cast
 import numpy as np
 from scipy.signal import lfilter
 
-from asia.agents.library.recipe import read_recipe
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.judge.evaluation.findings import search_context
@@ -30,6 +29,7 @@ from asia.judge.scoring.outcome import Score
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem, prepared
+from asia.recipe import read_recipe
 
 BUILT_IN = ("two_tanks_sim", "cascaded_tanks", "nanodrone", "wiener_hammerstein")
 

@@ -21,8 +21,8 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from asia.analysis.monitor import HeldOut, Observer, TimeVarying, make_observer
 from asia.candidate import Context
+from asia.control.observer import HeldOut, Observer, TimeVarying, make_observer
 from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.export.model import ExportModel

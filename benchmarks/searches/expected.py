@@ -1,4 +1,4 @@
-"""Does the interval for the winner's test error hold the sealed one as often as it says?
+"""Does the interval for the best candidate's test error hold the sealed one as often as it says?
 
 Small synthetic searches without a sandbox: a second-order system, mostly with a bent input or
 output and coloured noise, ARX models of four orders and three random-feature models of the input,

@@ -5,10 +5,9 @@
 
 Each search is on a synthetic system drawn with its seed, 1000 samples for even seeds and 400 for
 odd ones, and ends with its sealed record opened: error of all three models against the measured
-outputs and against the noise-free truth. DIR/results keeps a file a search, with all that the rule
-knows, so that another rule can be judged without new searches. The same command goes on with what
-is in DIR; --table prints the tables of what is there and searches nothing. Seeds below 200 were
-used to set the rule: give others to judge it. The tables end with what output bands held.
+outputs and against the noise-free truth. DIR/results keeps a file a search. The same command goes
+on with what is in DIR; --table prints the tables of what is there and searches nothing. The tables
+end with what output bands held.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from asia.agents import make_agent
 from asia.judge.sandbox.types import Isolation
@@ -32,7 +30,6 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
-from asia.search.final import FinalEvidence, choose_model
 from asia.search.run import prepare, search
 from asia.search.unsealing import unseal
 from harness import Brisk, option_parser, run_all, synthetic_problem, table, words
@@ -42,7 +39,6 @@ from systems import KINDS, Record, System, make_system
 PLANNED_SECONDS = 6.0
 SHORT, LONG = 400, 1000
 FAR_OFF = 0.25
-_EVIDENCE = TypeAdapter(FinalEvidence)
 MODELS = "ensemble", "refit", "stack"
 
 
@@ -151,7 +147,7 @@ def _kept(
     return {
         "run": task.run, "kind": task.kind, "seed": task.seed, "use": refitted.use,
         "family": best.proposed.family, "samples": len(problem.train[0]),
-        "evidence": _EVIDENCE.dump_python(FinalEvidence.of(best, refitted), mode="json"),
+        "value": best.score.value if best.score else None,
         "stack": None if refitted.stack is None else asdict(refitted.stack),
         "rmse": {
             name: float(np.mean(np.asarray(m.scores[0].per_channel) / scale))
@@ -173,7 +169,7 @@ def _simulated(directory: Path, opened: Unsealed, model: TestedModel) -> np.ndar
 
 
 def tables(found: Sequence[dict[str, Any]]) -> str:
-    """The rule against hindsight, and the stack beside the winner."""
+    """The rule against hindsight, and the stack beside the best candidate."""
     lines = [
         f"{len(found)} searches. Loss: sealed error of the named model over that of the best of "
         "the three, less 1.",
@@ -225,8 +221,7 @@ def _band_lines(found: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _named(one: dict[str, Any]) -> str:
-    """Model that the rule of this version names, from the content of the ledger."""
-    return choose_model(_EVIDENCE.validate_python(one["evidence"])).model
+    return one["use"]
 
 
 def _there(one: dict[str, Any], model: str) -> str:
@@ -245,22 +240,22 @@ def _counts(names: Sequence[str]) -> str:
 def _stack_lines(found: Sequence[dict[str, Any]], total: int) -> list[str]:
     if not found:
         return ["No search has a stack."]
-    nested = [one["stack"]["value"] / one["evidence"]["value"] for one in found]
+    nested = [one["stack"]["value"] / one["value"] for one in found]
     sealed = [one["rmse"]["stack"] / one["rmse"]["ensemble"] for one in found]
     believed = [(n, s) for n, s in zip(nested, sealed, strict=True) if n < 1]
     flat = [one["rmse"]["stack"] / one["stack"]["value"] for one in found]
-    winner = [one["rmse"]["ensemble"] / one["evidence"]["value"] for one in found]
+    winner = [one["rmse"]["ensemble"] / one["value"] for one in found]
     lines = [
         f"{len(found)} of {total} searches have a stack of more than one candidate.",
-        f"Nested V of the stack over V of the winner: median {median(nested):.3f}.",
-        f"Sealed error of the stack over that of the winner's ensemble: median "
+        f"Nested V of the stack over V of the best candidate: median {median(nested):.3f}.",
+        f"Sealed error of the stack over that of the best candidate's ensemble: median "
         f"{median(sealed):.3f}, below 1 in {sum(s < 1 for s in sealed)}.",
         f"Sealed error over V: stack (nested) {median(flat):.3f}, winner {median(winner):.3f}.",
     ]
     if believed:
         better = sum(s < 1 for _, s in believed)
         lines.append(
-            f"Where the nested V is below the winner's ({len(believed)}): sealed ratio median "
+            f"Where the nested V is below that of the best ({len(believed)}): sealed ratio median "
             f"{median(s for _, s in believed):.3f}, below 1 in {better}."
         )
     return lines

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from asia.analysis.verdict import BOUNDED, Usability, usability
 from asia.data import Array
 from asia.data.segment import Segment
 from asia.judge.evaluation.results import FoldRecord
@@ -45,7 +46,6 @@ from asia.ledger.events import (
     StressTest,
     Validated,
 )
-from asia.ledger.verdict import BOUNDED, Usability, usability
 from asia.ledger.view import replay
 
 SAMPLES, FOLDS = 1500, 3

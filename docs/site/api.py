@@ -6,6 +6,7 @@ from importlib import import_module
 import asia
 import asia.models
 import asia.testing
+from asia.control import monitor
 from asia.models import methods
 
 INTRODUCTION = """# Python interface
@@ -35,6 +36,8 @@ def api_page() -> str:
             text.append(_module(f"asia.models.{family}"))
     text += ["## Training methods: asia.models.methods\n"]
     text += [_directive(methods, "asia.models.methods", name) for name in methods.__all__]
+    text += ["## Control: asia.control\n"]
+    text += [_directive(monitor, "asia.control.monitor", "Monitor")]
     text += ["## Suites for parts of your own: asia.testing\n"]
     text += [_directive(asia.testing, "asia.testing", name) for name in asia.testing.__all__]
     return "\n".join(text)

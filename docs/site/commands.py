@@ -37,7 +37,8 @@ def commands_page() -> str:
 
 def _commands(group: Any, prefix: str) -> Iterator[str]:
     """Sections of the commands of a group, and of the groups in it."""
-    for name, command in sorted(group.commands.items(), key=lambda c: hasattr(c[1], "commands")):
+    found = [(name, group.get_command(None, name)) for name in group.list_commands(None)]
+    for name, command in sorted(found, key=lambda c: hasattr(c[1], "commands")):
         if hasattr(command, "commands"):
             yield from _commands(command, f"{prefix}{name} ")
         else:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from asia.candidate import Context, Model
     from asia.data.trajectory import Signal, Trajectory
     from asia.export.linear import linearize
-    from asia.export.monitor import Monitor
     from asia.interfaces.python import SystemIdentifier, load_run
     from asia.ledger.run import open_run
     from asia.problem.load import load_problem
@@ -30,7 +29,6 @@ __version__ = "0.1.0"
 __all__ = [
     "Context",
     "Model",
-    "Monitor",
     "Problem",
     "Signal",
     "SystemIdentifier",
@@ -48,7 +46,6 @@ __all__ = [
 _HOMES = {
     "Context": "asia.candidate",
     "Model": "asia.candidate",
-    "Monitor": "asia.export.monitor",
     "Problem": "asia.problem.problem",
     "Signal": "asia.data.trajectory",
     "SystemIdentifier": "asia.interfaces.python",

@@ -1,7 +1,6 @@
 """The library's front door: what the command line does, in a function."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from asia.agents.random import SpaceName
@@ -12,7 +11,8 @@ from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping
-from asia.search.run import guard_share, prepare, search, with_early_stopping
+from asia.search.run import guard_share, prepare, search
+from asia.search.settings import SearchSettings
 from asia.search.sinks import OpenSink, open_sinks
 
 
@@ -57,10 +57,8 @@ def run(
     )
     share = guard_share(chosen.agent.name, guard)
     loaded = problem if isinstance(problem, Problem) else load_problem(problem, share)
-    if experiments is not None:
-        loaded = replace(loaded, budget=replace(loaded.budget, experiments=experiments))
-    if early_stopping is not None:
-        loaded = with_early_stopping(loaded, early_stopping)
+    settings = SearchSettings(experiments=experiments, early_stopping=early_stopping)
+    loaded = settings.applied(loaded)
     ready = prepare(
         loaded,
         chosen.agent.name,

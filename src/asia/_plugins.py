@@ -2,6 +2,7 @@
 that the user names as `module:Name`; libraries and families. No name is read from a file."""
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -21,7 +22,11 @@ GROUPS = (
     "asia.export_targets",
     "asia.validation_checks",
     "asia.commands",
+    "asia.command_options",
+    "asia.report_sections",
 )
+OWN = "asia-sysid"
+"""The package of ASIA, which brings parts by the same entry points as others."""
 
 
 def library(name: LiteralString) -> Any:
@@ -124,6 +129,19 @@ def parts_of(group: str) -> tuple[Part, ...]:
     return tuple(part for part in parts() if part.group == group)
 
 
+def ordered(names: Sequence[str], after: Mapping[str, str | None]) -> list[str]:
+    """Return names with those of plug-ins among them.
+
+    Args:
+        after: for each name of a plug-in the name that it follows; at the end without one
+    """
+    found, waiting = [*names], dict(after)
+    while placed := [name for name, other in waiting.items() if other in found]:
+        for name in placed:
+            found.insert(found.index(str(waiting.pop(name))) + 1, name)
+    return [*found, *waiting]
+
+
 @dataclass(frozen=True)
 class PluginPackage:
     """An importable package, or a single module, that brings parts."""
@@ -136,8 +154,9 @@ class PluginPackage:
 
 
 def _package_names() -> tuple[str, ...]:
-    """Top-level names, whether or not the parts' own names clash."""
-    return tuple(dict.fromkeys(re.split("[:.]", part.target)[0] for part in _all_parts()))
+    """Top-level names of other packages, whether or not the parts' own names clash."""
+    others = (part.target for part in _all_parts() if part.package != OWN)
+    return tuple(dict.fromkeys(re.split("[:.]", target)[0] for target in others))
 
 
 def plugin_packages() -> tuple[PluginPackage, ...]:

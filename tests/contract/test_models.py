@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 import asia.models
-from asia.agents.library.recipe import MODELS
 from asia.agents.library.registry import all_families
+from asia.recipe import MODELS
 from asia.testing import check_family
 
 

@@ -55,7 +55,9 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     ask = argparse.ArgumentParser("python -m tests.redteam", description=__doc__)
-    ask.add_argument("--table", action="store_true", help="print the table of docs/redteam.md")
+    ask.add_argument(
+        "--table", action="store_true", help="print what each attack tries and what stops it"
+    )
     ask.add_argument("--only", type=int, nargs="+", metavar="N", help="attacks by number")
     ask.add_argument("--level", nargs="+", help="default: all that work here except process")
     ask.add_argument(

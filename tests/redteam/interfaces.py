@@ -148,7 +148,7 @@ def _by_workspace(problem: Path, runs: Path, sources: Sequence[str]) -> None:
 
 
 def _by_mcp(problem: Path, runs: Path, sources: Sequence[str]) -> None:
-    request = SearchRequest(str(problem), "mcp", 0, None, None, None, None)
+    request = SearchRequest(problem=str(problem), agent="mcp")
 
     async def submit() -> None:
         async with Client(make_server(open_search(request, runs, None))) as client:

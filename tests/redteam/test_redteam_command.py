@@ -47,7 +47,7 @@ def test_doctor_stops_one_attack_of_each_kind():
     assert f"{count} of {count} attacks stopped" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_outer
 def test_each_attack_of_doctor_succeeds_with_isolation_off_and_not_by_failing():
     numbers = [str(attack.number) for attack in DOCTOR]

@@ -10,7 +10,7 @@ from asia.judge.sandbox.availability import fitting_levels, why_not
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import model_to_use
 from tests.redteam import gated
-from tests.redteam.attacks.copies import MIRROR, NAMES, ORDERS, WEAK, WHISPERS, improved, mixed
+from tests.redteam.attacks.copies import MIRROR, NAMES, ORDERS, WEAK, WHISPERS, mixed
 from tests.redteam.gated import Played
 from tests.redteam.interfaces import Interface
 
@@ -103,8 +103,3 @@ def test_small_steps_take_v_no_further_than_three_times(tmp_path: Path):
     assert confirmation is not None
     assert confirmation.apart > 3.0
     assert played.statuses["step 4"] == "unconfirmed"
-
-
-def test_an_honest_improvement_is_kept(tmp_path: Path):
-    played = gated.play({"improved": improved(0.3)}, tmp_path / "run")
-    assert set(played.statuses.values()) == {"keep"}

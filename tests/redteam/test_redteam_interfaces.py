@@ -73,7 +73,15 @@ def test_a_cheat_is_refused_by_every_interface(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("interface", INTERFACES)
+@pytest.mark.parametrize(
+    "interface",
+    [
+        Interface.LOCAL,
+        Interface.MCP,
+        pytest.param(Interface.WORKSPACE, marks=pytest.mark.long),
+        pytest.param(Interface.DASK, marks=pytest.mark.long),
+    ],
+)
 def test_the_same_candidate_in_other_clothes_gets_the_same_draw(
     interface: Interface, tmp_path: Path
 ) -> None:

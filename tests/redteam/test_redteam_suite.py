@@ -36,7 +36,6 @@ from tests.redteam.outside.without_isolation import CONTROL, OFF
 from tests.redteam.suite import (
     RedTeamPlan,
     RedTeamReport,
-    attack_table,
     honest_plan,
     line,
     report_table,
@@ -140,10 +139,10 @@ def test_no_attack_succeeds_by_failing():
     assert [f for f in found if f.through] == []
 
 
-def test_the_page_has_the_table_of_the_suite():
-    """`python -m tests.redteam --table` prints it."""
+def test_the_page_has_every_attack_of_the_suite():
     page = (Path(__file__).parents[2] / "docs" / "redteam.md").read_text()
-    assert attack_table(ATTACKS) in page
+    named = [f"{attack.number} {attack.name}" for attack in ATTACKS]
+    assert [name for name in named if f" {name}," not in page and f" {name} |" not in page] == []
 
 
 @needs_level

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from asia.agents.library.family import Family, is_new, under_protocol
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families
 from asia.agents.library.space import OneOf, Space, applies
 from asia.agents.view import AgentView, Facts, Proposal, Running, Trial
+from asia.recipe import Recipe, read_recipe
 
 if TYPE_CHECKING:
     import optuna

@@ -9,10 +9,10 @@ import numpy as np
 
 from asia.agents.library.family import FEWEST_STEPS, Family, is_new, under_protocol
 from asia.agents.library.methods import adam
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.registry import families, family
 from asia.agents.library.space import OneOf, Space, Span, draw
 from asia.agents.view import AgentView, Facts, Proposal
+from asia.recipe import Recipe
 
 # The random control of Piga and Forgione: an LSTM that runs freely on its own output, alone or as
 # the residual of the equations, with width, depth, learning rate, dropout and weight decay drawn.

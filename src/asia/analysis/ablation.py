@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from asia.agents.library.recipe import Arguments, Recipe, read_recipe
 from asia.analysis.confirmation import check_repeatable
 from asia.candidate import source_digest, source_tree
 from asia.data.trajectory import Array
@@ -23,6 +22,7 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import Ablated, Fit, LeftOut
 from asia.ledger.view import Experiment
 from asia.problem.load import load_lock
+from asia.recipe import Arguments, Recipe, read_recipe
 from asia.search.run import LOCK, make_evaluator
 
 # Candidates in the standard layout, taken apart into model and training and put together anew.
@@ -187,10 +187,10 @@ def _imports_first(statements: Iterable[ast.stmt]) -> list[ast.stmt]:
 OnFit = Callable[[Fit, int, int], None]
 
 # The ledger keeps these names.
-_BEST = "the winner"
+_BEST = "the best candidate"
 _BASELINE = "the baseline"
-_MODEL = "the winner's model with the baseline's training"
-_TRAINING = "the baseline's model with the winner's training"
+_MODEL = "the best candidate's model with the baseline's training"
+_TRAINING = "the baseline's model with the best candidate's training"
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ class _Ablation:
             except UserError as error:
                 changes[number] = str(error)
                 continue
-            name = f"the winner without the change of #{number:02d}"
+            name = f"the best candidate without the change of #{number:02d}"
             changes[number] = Variant(name, source) if source else "no part of it is left"
         variants += [v for v in changes.values() if isinstance(v, Variant)]
         values = self._fit_all(variants)

@@ -119,7 +119,7 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
         if len(errors) == len(check.fold_errors):
             ensemble = expected_of_ensemble(expected, errors, check.ensemble_error)
     return Confirmed(
-        winner=view.best.number,
+        best=view.best.number,
         seeds=seeds,
         tried=len(tried),
         level=LEVEL,

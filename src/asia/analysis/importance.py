@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.agents.library.recipe import Recipe
 from asia.data.trajectory import Array
+from asia.recipe import Recipe
 
 LEAST_EXPERIMENTS: Final = 12
 """Experiments of one family below which its settings are not analysed."""

@@ -108,3 +108,20 @@ class Preprocess:
             return values[:samples]
         kept = np.arange(len(values), dtype=np.float64) * self.decimate
         return np.stack([np.interp(np.arange(samples), kept, c) for c in values.T], axis=1)
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """Requested preprocessing. The command line shows the texts."""
+
+    delay: Annotated[
+        str | None, 'Samples to delay the inputs by; "auto": from correlations. [preprocess]'
+    ] = None
+    decimate: Annotated[int, "Keep every Nth sample. [preprocess]"] = 1
+    detrend: Annotated[
+        bool, "In each fold, subtract the training mean from every signal. [preprocess]"
+    ] = False
+    scale: Annotated[
+        bool,
+        "In each fold, divide every signal by its training standard deviation. [preprocess]",
+    ] = False

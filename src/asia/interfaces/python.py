@@ -14,6 +14,7 @@ import numpy as np
 from asia._api import run as search_for_model
 from asia._text import say
 from asia.agents.view import Agent
+from asia.analysis.verdict import Usability, usability
 from asia.data.arrays import name_signals, one_a_record, read_arrays
 from asia.data.trajectory import Array, Signal, real_numbers
 from asia.errors import UserError
@@ -24,7 +25,6 @@ from asia.judge.scoring.outcome import fit_index
 from asia.ledger.events import Evaluated, Event, Use
 from asia.ledger.evidence import IdentifiedParameter, identified
 from asia.ledger.run import Run, find_run, model_to_use, open_run
-from asia.ledger.verdict import Usability, usability
 from asia.ledger.view import SearchView
 from asia.presentation.table import error_value
 from asia.problem.folds import past_outputs

@@ -97,7 +97,7 @@ class LeftOut:
 class Ablated:
     """Contributions of the changes to the gain of a search."""
 
-    winner: int
+    best: Annotated[int, _named("best", "winner")]
     """The incumbent of the search."""
     baseline: int
     """The experiment that it is compared with."""
@@ -218,7 +218,7 @@ class ConfirmedPair:
 class Confirmed:
     """Result of repeated fits of the best candidates."""
 
-    winner: int
+    best: Annotated[int, _named("best", "winner")]
     """The incumbent of the search."""
     seeds: int
     """Repeats of a candidate whose fits depend on the seed."""
@@ -320,6 +320,10 @@ class StressTest:
     """drifts: far away, but no faster than the measured outputs move, as an integrator does."""
 
 
+BOUNDED_REACH = 5.0
+"""Reach up to which a model is bounded, in half ranges."""
+
+
 # The course of a search: its start, its experiments, its end.
 
 
@@ -415,7 +419,8 @@ class ReferenceScored:
     `source`."""
     source: Annotated[str, _omitted("")] = ""
     """Candidate of a linear model, where it is another one than the usual baseline."""
-    event: Literal["rung"] = "rung"
+    event: Literal["reference", "rung"] = "reference"
+    """Older ledgers say `rung`."""
 
 
 @dataclass(frozen=True)

@@ -94,15 +94,6 @@ def gates(x: AnyArray, parts: int) -> list[AnyArray]:
     return [*(sigmoid(part) for part in found), last]
 
 
-def complex_number(real: AnyArray, imaginary: AnyArray) -> AnyArray:
-    """Compute real + i imaginary, of twice the size of its parts."""
-    if namespace(real, imaginary) is not np:
-        import jax
-
-        return jax.lax.complex(real, imaginary)
-    return real + 1j * imaginary
-
-
 def rows(values: Sequence[AnyArray], like: AnyArray) -> AnyArray:
     """Stack values that broadcast to like[0]: (len(values), *like.shape[1:]) in its dtype."""
     shape = (len(values), *like.shape[1:])

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.models._arrays import AnyArray, namespace
+from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._numerics.lags import (
-    FreeRun,
+    History,
     Lags,
     OutputRange,
     fit_history,
@@ -64,10 +64,39 @@ class Polynomial:
 
 
 @dataclass(frozen=True)
-class PolynomialRun(FreeRun):
-    """Polynomial in free run."""
+class PolynomialRun:
+    """Polynomial simulated on its own outputs, clipped to the limits; a `ScaledSimulator`."""
 
     one_step: Polynomial
+    history: History
+    limits: OutputRange
+
+    def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H,
+        ny)."""
+        old_u, past = self.initial(past_u, past_y, u[:, 0])
+        drive = lagged_inputs(np.concatenate([old_u, u], axis=1), self.history.lags)
+        return scan(self._advanced, past, drive.swapaxes(0, 1))[1].swapaxes(0, 1)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Lagged inputs (B, past_inputs, nu), the oldest first, and lagged outputs (B, outputs *
+        ny), the newest first, before the first input u (B, nu)."""
+        old_u, old_y = self.history(past_u, past_y, u[:, None])
+        return old_u, old_y[:, ::-1].reshape(len(u), -1)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Advance the lags by a sample with the input u (B, nu); its output is (B, ny)."""
+        old_u, past = state
+        known = namespace(old_u, u).concatenate([old_u, u[:, None]], axis=1)
+        past, y = self._advanced(past, lagged_inputs(known, self.history.lags)[:, 0])
+        return (known[:, 1:], past), y
+
+    def _advanced(self, past: AnyArray, drive: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Lagged outputs after a sample with lagged inputs (B, inputs * nu), and its output."""
+        xp = namespace(past, drive)
+        y = self.one_step(xp.concatenate([past, drive], axis=1))
+        y = bounded(y, self.limits.low, self.limits.high)
+        return xp.concatenate([y, past], axis=1)[:, : past.shape[1]], y
 
 
 def all_terms(size: int, degree: int) -> Terms:
@@ -216,7 +245,7 @@ RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
 class ScaledRun(NamedTuple):
     """Model in free run that simulates in physical units."""
 
-    run: FreeRun
+    run: PolynomialRun
     scaling: Scaling
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -241,7 +270,7 @@ class FreeRunModel(WrappedModel[ScaledRun], Generic[C]):
 
     config: C
     """Settings of the family."""
-    run: FreeRun | None = None
+    run: PolynomialRun | None = None
     """Model in free run; None before training."""
     scaling: Scaling | None = None
     """Scaling from physical units to z-scores; None before training."""
@@ -356,7 +385,7 @@ def selection(records: ScaledData, context: Context, max_order: int) -> list[Sca
 def choose_ridge(
     records: ScaledData,
     context: Context,
-    fit: Callable[[ScaledData, float], FreeRun],
+    fit: Callable[[ScaledData, float], PolynomialRun],
     memory: int,
 ) -> float:
     """Choose the ridge with the least simulation error on samples left out of the fit."""

@@ -22,7 +22,7 @@ from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models import autoregressive
 from asia.models._arrays import AnyArray, namespace
-from asia.models._equations.measured import Rate, find_rates, read_by_equations
+from asia.models._equations.measured import find_rates, read_by_equations
 from asia.models._networks.network import NetworkModel, Prepare, network_family
 from asia.models._networks.structure import Features, Params, zeros
 from asia.models._numerics.scaling import Scaling
@@ -34,12 +34,7 @@ __all__ = ["Config", "NetworkModel", "build", "train"]
 
 @dataclass(frozen=True)
 class Config(autoregressive.Config):
-    """Settings of `asia.models.autoregressive`, and which outputs the network reads."""
-
-    blind: tuple[str, ...] | None = None
-    """Names of outputs that the network does not read, such as a position where the forces are the
-    same everywhere; None: those integrated ones that no equation of [physics] reads, and without
-    [physics] none."""
+    """Settings of `asia.models.autoregressive`."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +51,9 @@ class KinematicCell(AutoregressiveCell):
         """Structure for a problem.
 
         Raises:
-            UserError: if there is only one output, or `blind` names an unknown output.
+            UserError: if there is only one output.
         """
         assert isinstance(config, Config)
-        names = [s.name for s in context.outputs]
-        unknown = [name for name in config.blind or () if name not in names]
-        if unknown:
-            raise UserError(
-                f"kinematic.Config: blind names '{unknown[0]}', expected some of {', '.join(names)}"
-            )
         if context.ny < 2:
             raise _no_rates()
         past, drive = context.n_past_y, Features(config.features)
@@ -79,7 +68,9 @@ class KinematicCell(AutoregressiveCell):
         rates = find_rates(trajectories, context)
         if not rates:
             raise _no_rates()
-        read = _read(self.config.blind, rates, context)
+        # An integrated output that no equation reads, such as a position, leaves the forces alike.
+        integrated, needed = {r.output for r in rates}, read_by_equations(context)
+        read = [j in needed or j not in integrated for j in range(context.ny)]
 
         def with_kinematics(params: Params, records: ScaledData, scaling: Scaling) -> Params:
             """Add the kinematics in z-scores and the size of the other increments."""
@@ -130,17 +121,6 @@ class KinematicCell(AutoregressiveCell):
         integrated = (1 + params["gain"]) * (y @ fixed["rate"] + fixed["drift"])
         y = y + moved + integrated
         return (inner, y), y
-
-
-def _read(
-    blind: tuple[str, ...] | None, rates: Sequence[Rate], context: Context
-) -> tuple[bool, ...]:
-    """Outputs that the network reads, a flag for each."""
-    if blind is not None:
-        return tuple(s.name not in blind for s in context.outputs)
-    integrated = {r.output for r in rates}
-    needed = read_by_equations(context)
-    return tuple(j in needed or j not in integrated for j in range(context.ny))
 
 
 def _no_rates() -> UserError:

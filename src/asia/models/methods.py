@@ -18,7 +18,6 @@ __all__ = [
     "Adam",
     "LeastSquares",
     "LevenbergMarquardt",
-    "MarginalLikelihood",
     "MultipleShooting",
     "NetworkMethod",
 ]
@@ -37,24 +36,6 @@ class LeastSquares:
 
     def __post_init__(self) -> None:
         check_at_least(0, self, "ridge")
-
-
-@dataclass(frozen=True)
-class MarginalLikelihood:
-    """Hyper-parameters of a Gaussian process by the evidence of its training data, with L-BFGS.
-
-    Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, section 5.4.
-    """
-
-    iterations: int = 60
-    """Greatest number of steps for each output."""
-    points: int = 400
-    """Training points, spread over the records, that the evidence is computed on; its cost grows
-    with their cube."""
-
-    def __post_init__(self) -> None:
-        check_at_least(0, self, "iterations")
-        check_at_least(2, self, "points")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.judge.scoring.repeated_fits import RANKED
-from asia.ledger.events import Evaluated, Phase, Validated
+from asia.ledger.events import Evaluated, Phase, StressTest, Validated
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.table import Block, Table, error_decimals, error_value
@@ -53,6 +53,17 @@ def error_line(error: str, most: int = 300) -> str:
 def phase_text(phase: Phase) -> str:
     """Describe the part of the budget in which an experiment lies."""
     return _PHASES[phase]
+
+
+def stress_text(test: StressTest) -> str:
+    """Describe what a model did on training inputs in other combinations, in a sentence."""
+    start = f"On training inputs in other combinations the {test.model}"
+    if test.reach is None:
+        return f"{start} gives no finite outputs within the time limit."
+    return (
+        f"{start} takes {test.output} {test.reach:.3g} times as far from the middle of its "
+        "training range as any measured output."
+    )
 
 
 def validation_summary(event: Validated) -> str:
@@ -211,7 +222,7 @@ def references_table(view: SearchView) -> Table:
         elif one.name == "simulated truth":
             note = "the true system: the noise floor"
         rows.append([one.name, value_text(one.outcome), note])
-    return Table("reference models", {"reference": "", view.v_name: "error", "remark": ""}, rows)
+    return Table("reference models", {"reference": "", view.v_name: "error", "note": ""}, rows)
 
 
 def value_text(outcome: Outcome) -> str:

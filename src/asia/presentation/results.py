@@ -60,14 +60,14 @@ def confirmation_blocks(
                 f"the {found.tried} candidates of the search"
             )
         yield f"variance over seeds: {noise_text(found)}"
-    if found.expected is not None and experiment in (None, found.winner):
+    if found.expected is not None and experiment in (None, found.best):
         columns = {
             "model": "", f"scaled as {v_name}": "error",
             f"{100 * found.expected_level:.0f} % interval": "",
         }  # fmt: skip
         each = [("one fold model", found.expected), ("ensemble", found.ensemble)]
         yield Table(
-            f"expected error of #{found.winner:02d} on a new record of the same kind, as long as a "
+            f"expected error of #{found.best:02d} on a new record of the same kind, as long as a "
             "fold",
             columns,
             [
@@ -91,21 +91,21 @@ AFTER_UNSEALING = "computed after the sealed test was opened; it was not used"
 
 def confirmation_verdict(found: Confirmed) -> str:
     """Return the verdict on the best candidate in one sentence."""
-    best = f"#{found.winner:02d}"
-    if not found.candidates or found.winner in found.failed:
+    best = f"#{found.best:02d}"
+    if not found.candidates or found.best in found.failed:
         return f"{best} is not confirmed: it failed with every other seed"
-    if all(one.experiment != found.winner for one in found.candidates):
+    if all(one.experiment != found.best for one in found.candidates):
         return f"{best} is not confirmed: it was not repeated"
     equal = [
-        pair.first if pair.second == found.winner else pair.second
+        pair.first if pair.second == found.best else pair.second
         for pair in found.pairs
-        if not pair.apart and found.winner in (pair.first, pair.second)
+        if not pair.apart and found.best in (pair.first, pair.second)
     ]
-    if not equal and found.candidates[0].experiment == found.winner:
+    if not equal and found.candidates[0].experiment == found.best:
         if len(found.candidates) == 1:
             return f"{best} was the only candidate repeated: there is no comparison"
         return f"{best} is confirmed: it is better than all other repeated candidates"
-    better = [p.first for p in found.pairs if p.second == found.winner and p.apart]
+    better = [p.first for p in found.pairs if p.second == found.best and p.apart]
     if better:
         names = " and ".join(f"#{number:02d}" for number in better)
         return f"{best} is not confirmed: {names} {'is' if len(better) == 1 else 'are'} better"
@@ -138,7 +138,7 @@ def ablation_blocks(found: Ablated, v_name: str) -> Iterator[Block]:
             ("in all", crossing.gain),
         )
         yield Table(
-            f"gain of the best candidate #{found.winner:02d} over the baseline",
+            f"gain of the best candidate #{found.best:02d} over the baseline",
             {"part": "", f"{v_name} is lower by": "interval:signed_error", "share": "share"},
             [(name, part, crossing.share(part)) for name, part in parts],
         )

@@ -23,7 +23,7 @@ from asia.data.bad_samples import BadSamples, find_bad_samples
 from asia.data.intake.conversion import Intake, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
-from asia.data.preprocess import Preprocess
+from asia.data.preprocess import Preparation, Preprocess
 from asia.data.statistics import delays
 from asia.data.store import PlainFile, key_folder
 from asia.data.trajectory import (
@@ -270,20 +270,6 @@ def _read_records(
 
 
 # Preprocessing of a new problem, derived from its training records.
-
-
-@dataclass(frozen=True)
-class Preparation:
-    """Requested preprocessing."""
-
-    delay: str | None = None
-    """`auto`, or the samples by which all inputs are delayed."""
-    decimate: int = 1
-    """Every Nth sample is kept."""
-    detrend: bool = False
-    """Each fit subtracts the mean of its training records from every signal."""
-    scale: bool = False
-    """Each fit divides every signal by its standard deviation over the training records."""
 
 
 def _prepare(

@@ -313,26 +313,26 @@ def inner_folds(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[Fold, ...]:
     """
     found: list[Fold] = []
     for fold in folds:
-        records = fold.train
-        names, lengths = [r.name for r in records], [len(r) for r in records]
-        if len(records) >= _THIRDS:
-            parts = [Excerpt(i, range(rule.past, length)) for i, length in enumerate(lengths)]
-            wholes = [Excerpt(i, range(length)) for i, length in enumerate(lengths)]
-            cuts = [
-                FoldCut(
-                    tuple(parts[b::_THIRDS]), tuple(w for w in wholes if w.record % _THIRDS != b)
-                )
-                for b in range(_THIRDS)
-            ]
-        else:
-            thirds = FoldRule("contiguous", _THIRDS, gap=rule.folds.gap)
-            cuts = splits(names, lengths, replace(rule, folds=thirds))
-        for b, cut_at in enumerate(cuts):
+        for b, cut_at in enumerate(_cuts(fold, rule, _THIRDS)):
             if b % len(folds) == fold.index % _THIRDS:
-                found.append(_fold(records, cut_at, rule, len(folds) + len(found)))
+                found.append(_fold(fold.train, cut_at, rule, len(folds) + len(found)))
     if not all(one.held_out for one in found):
         raise UserError("the training records of a fold are too short to hold out a third of them")
     return tuple(found)
+
+
+def _cuts(fold: Fold, rule: ProtocolRule, count: int) -> Sequence[FoldCut]:
+    """Cuts of a fold's training records, each of which holds out one of `count` parts."""
+    lengths = [len(r) for r in fold.train]
+    if len(lengths) < count:
+        parts = replace(rule, folds=FoldRule("contiguous", count, gap=rule.folds.gap))
+        return splits([r.name for r in fold.train], lengths, parts)
+    blocks = [Excerpt(i, range(rule.past, length)) for i, length in enumerate(lengths)]
+    wholes = [Excerpt(i, range(length)) for i, length in enumerate(lengths)]
+    return [
+        FoldCut(tuple(blocks[b::count]), tuple(w for w in wholes if w.record % count != b))
+        for b in range(count)
+    ]
 
 
 def _fold(records: Sequence[Trajectory], split: FoldCut, rule: ProtocolRule, k: int) -> Fold:

@@ -91,10 +91,9 @@ def lock_text(problem: Problem, seal: Seal) -> str:
 
     `load_lock` restores the problem from it.
     """
-    control = problem.control
     # Scenarios are drawn again; the rest of a control problem is its identification problem.
-    base = problem if control is None else control.base
-    plant = problem.plant if control is None else control.plant
+    control, base = problem.control, problem.identification
+    plant = (control or problem).plant
     test = base.test.source
     data = {**base.data.to_toml(), **(test.to_toml() if test else {})}
     guard = data.pop("guard", None)
@@ -171,9 +170,8 @@ def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
 
 
 def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
-    control = problem.control
-    base = problem if control is None else control.base
-    plant = problem.plant if control is None else control.plant
+    control, base = problem.control, problem.identification
+    plant = (control or problem).plant
     return {
         "train": [data_digest([t]) for t in _records(problem)],
         "test": test,

@@ -126,6 +126,11 @@ class Problem:
     response_files: tuple[Path, ...] = ()
     """Their files."""
 
+    @property
+    def identification(self) -> Problem:
+        """The problem itself; of a control problem the identification of its plant."""
+        return self if self.control is None else self.control.base
+
     @classmethod
     def from_arrays(
         cls,

@@ -24,7 +24,6 @@ from asia.problem.check import input_delays, responses
 from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
-from asia.report.comparison import BenchPictures
 from asia.report.drawing.style import DPI, drawing
 from asia.report.pictures.check import draw_data, draw_delays, draw_responses
 from asia.report.pictures.evidence import (
@@ -35,14 +34,14 @@ from asia.report.pictures.evidence import (
     draw_validation,
 )
 from asia.report.pictures.leaderboard import draw_boards, draw_standing
-from asia.report.pictures.progress import draw_arms, draw_progress
+from asia.report.pictures.progress import draw_progress
 from asia.report.pictures.simulation import (
     draw_horizon,
     draw_simulation,
     draw_test,
     draw_test_horizon,
 )
-from asia.report.published import Board, read_board
+from asia.report.published import read_board
 
 Picture = tuple[str, Callable[[], Figure]]
 """Name of the files and the function that draws."""
@@ -118,35 +117,6 @@ def draw_problem(
 
         drawn.append(("equations", lambda: draw_equations(physics)))
     return save(drawn, directory, failed)
-
-
-def draw_all_boards(boards: Sequence[Board], title: str, directory: Path) -> tuple[Path, ...]:
-    """Published results of benchmarks with ours among them, `directory/boards.png` and `.pdf`; none
-    where no board has a published result. Returns the paths written."""
-    shown = [board for board in boards if board.entries]
-    return save([("boards", lambda: draw_boards(shown, title))], directory) if shown else ()
-
-
-def draw_bench(compared: BenchPictures, directory: Path) -> tuple[Path, ...]:
-    """Draw a comparison of searches into `directory`, each picture as PNG and PDF.
-
-    Returns the paths written. Raises UserError when a run named in `compared` is not what it was.
-    """
-    drawn: list[Picture] = []
-    for name, place in compared.progress:
-        metric = load_lock(place / "problem.lock.toml").protocol.metric
-        drawn.append((name, partial(draw_progress, open_run(place).view, metric)))
-    drawn += [(sides.name, partial(draw_arms, sides)) for sides in compared.sides]
-    run = None if compared.opened is None else open_run(compared.opened)
-    opened = None if run is None else run.view.unsealed
-    if run is not None and opened is not None and isinstance(opened.ensemble, TestedModel):
-        problem, ensemble = load_lock(run.directory / "problem.lock.toml"), opened.ensemble
-        drawn += _standing(run, problem, compared.test_mark)
-        if opened.horizon is not None:
-            published, caption = compared.mee, compared.caption
-            given = (run, problem, opened, ensemble, published, caption)
-            drawn.append(("mee", partial(draw_test_horizon, *given)))
-    return save(drawn, directory)
 
 
 def draw_cases(cases: SimulatedCases) -> dict[str, bytes]:
@@ -245,9 +215,7 @@ def _progress(run: Run, metric: str) -> Picture:
     return "progress", lambda: draw_progress(view, metric, beside)
 
 
-def _standing(
-    run: Run, problem: Problem, mark: tuple[str, float] | None = None
-) -> Iterator[Picture]:
+def _standing(run: Run, problem: Problem) -> Iterator[Picture]:
     """The model to use among the published ones, for a benchmark that has some."""
     board = read_board(problem, run.view)
     if not board.entries or not board.standings:
@@ -258,7 +226,7 @@ def _standing(
     if len(values) > 1:
         yield "leaderboard", lambda: draw_boards((board,), name)
     else:
-        yield "leaderboard", lambda: draw_standing(board.entries, values[0], output, name, mark)
+        yield "leaderboard", lambda: draw_standing(board.entries, values[0], output, name)
 
 
 def save(

@@ -10,7 +10,6 @@ from statistics import median_high
 import numpy as np
 
 from asia._diagnostic import diagnostic
-from asia.agents.library.recipe import read_recipe
 from asia.agents.view import AgentView, Effort, Facts, Running, Trial
 from asia.candidate import source_digest
 from asia.data.standardise import standardised
@@ -24,6 +23,7 @@ from asia.ledger.evidence import RunSettings, evidence_of, findings_of
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.evidence import evidence_lines
 from asia.problem.problem import Problem
+from asia.recipe import read_recipe
 from asia.search.rules import phase
 
 CURVE_POINTS = 200

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from asia._files import read_file
-from asia.agents.leading import LeadingCandidate
 from asia.errors import CandidateError, UserError
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, Outcome
 from asia.ledger.run import Run, model_to_use
 from asia.ledger.view import Experiment, SearchView
-from asia.presentation.table import error_value
 from asia.problem.create import record_csv, save_problem
 from asia.problem.folds import whole
 from asia.problem.load import load_lock, read_records
@@ -51,19 +49,6 @@ def leading_experiments(view: SearchView, count: int, far: float) -> list[Experi
         (again if one.proposed.family in families else first).append(one)
         families.add(one.proposed.family)
     return [*first, *again][:count]
-
-
-def leading_candidates(run: Run, count: int, far: float) -> list[LeadingCandidate]:
-    """The leading experiments as candidates of another search; arguments as for
-    `leading_experiments`."""
-    return [
-        LeadingCandidate(
-            one.proposed.family, one.proposed.title, run.store.text(one.source),
-            f"{run.name} #{one.number:02d}, V {error_value(one.score.value)}",
-        )
-        for one in leading_experiments(run.view, count, far)
-        if one.score is not None
-    ]  # fmt: skip
 
 
 def error_on_record(

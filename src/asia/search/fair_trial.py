@@ -15,13 +15,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
 from statistics import fmean
+from typing import TypeVar
 
 import numpy as np
 
-from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
 from asia.agents.view import LINEAR, PARENT
 from asia.candidate import source_digest
+from asia.data.trajectory import Array
 from asia.errors import Reason
 from asia.judge.evaluation import references
 from asia.judge.evaluation.evaluator import Evaluator
@@ -30,7 +31,9 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView
+from asia.recipe import read_recipe
 
+K = TypeVar("K")
 PROPOSED = "as proposed"
 """Variant that is the candidate itself."""
 
@@ -202,10 +205,6 @@ def chosen_of(
     is behind by more than that. What inner parts leave open between a change and its parent, the
     folds decide.
 
-    The standard error is that of the paired difference, or that of the best variant's error if this
-    is smaller: a variant that diverges in a single part has a difference as large as its standard
-    error.
-
     Args:
         names: of the variants, from simple to free
         errors: of each on the same parts of held-out records, or why it failed
@@ -213,17 +212,10 @@ def chosen_of(
     known = {i: np.array(e) for i, e in enumerate(errors) if not isinstance(e, Reason)}
     if not known:
         return ()
-    best = min(known.values(), key=lambda e: float(e.mean()))
-    behind = {i: e - best for i, e in known.items()}
-    deviation = {
-        i: min(float(values.std(ddof=1)) for values in (d, best)) / sqrt(len(d))
-        if len(d) > 1
-        else 0.0
-        for i, d in behind.items()
-    }
-    near = {i for i, d in behind.items() if d.mean() <= deviation[i]}
+    behind, deviation = behind_least(known)
+    near = {i for i in known if behind[i] <= deviation[i]}
     begun = {names[i]: i for i in known if names[i] in (LINEAR, PARENT)}
-    changes = sorted(known.keys() - begun.values(), key=lambda i: float(behind[i].mean()))
+    changes = sorted(known.keys() - begun.values(), key=lambda i: behind[i])
     if begun.get(LINEAR) in near or not changes:
         chosen = next(iter(begun.values()))
     else:
@@ -231,6 +223,25 @@ def chosen_of(
     return tuple(
         Variant(name, failed=error.value)
         if isinstance(error, Reason)
-        else Variant(name, fmean(error), "", float(behind[i].mean()), deviation[i], i == chosen)
+        else Variant(name, fmean(error), "", behind[i], deviation[i], i == chosen)
         for i, (name, error) in enumerate(zip(names, errors, strict=True))
     )
+
+
+def behind_least(errors: Mapping[K, Array]) -> tuple[dict[K, float], dict[K, float]]:
+    """How far each of several errors is behind the least, and the standard errors.
+
+    The standard error is that of the paired difference, or that of the least error if this is
+    smaller: what diverges in a single part has a difference as large as its standard error.
+
+    Args:
+        errors: (n,) of each on the same parts of held-out records
+    """
+    best = min(errors.values(), key=lambda e: float(e.mean()))
+    behind, deviation = dict[K, float](), dict[K, float]()
+    for name, e in errors.items():
+        behind[name] = float((e - best).mean())
+        deviation[name] = 0.0
+        if len(e) > 1:
+            deviation[name] = min(float(v.std(ddof=1)) for v in (e - best, best)) / sqrt(len(e))
+    return behind, deviation

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from asia._diagnostic import diagnostic
-from asia.agents.library.recipe import MODELS, read_recipe
 from asia.candidate import ParameterEstimates
 from asia.data.statistics import integrating, needs_loop, relation
 from asia.data.trajectory import Array
@@ -25,7 +24,7 @@ from asia.judge.evaluation.results import (
     consistency,
     mean_simulation,
 )
-from asia.judge.scoring.outcome import Failure, score_fold
+from asia.judge.scoring.outcome import Failure, score_fold, score_parts
 from asia.ledger.artifacts import Store
 from asia.ledger.events import (
     Feedback,
@@ -43,8 +42,9 @@ from asia.presentation.table import error_value
 from asia.problem.check import feedback_pairs
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
+from asia.recipe import MODELS, read_recipe
 from asia.search.agent_views import problem_facts
-from asia.search.fair_trial import evaluation_of
+from asia.search.fair_trial import behind_least, evaluation_of
 from asia.search.guard import Gate
 from asia.search.stress import StressRoom, bounded_model
 
@@ -54,9 +54,6 @@ from asia.search.stress import StressRoom, bounded_model
 STARTS = 3
 # Maximum error of a refit relative to the median fold model: above it, it does not fit its data.
 FALLS_SHORT = 1.2
-# Maximum error of a refit relative to the ensemble, and maximum difference relative to that of one
-# fold model from the others: a refit above either is only a fallback.
-NOT_WORSE, NOT_FURTHER = 1.05, 2.0
 # Negligible error, in standard deviations of the output.
 NEGLIGIBLE = 1e-4
 
@@ -82,9 +79,8 @@ def check_refit(
     first: RefitModel | CandidateError,
     metric: str,
 ) -> CheckedRefit:
-    """Compare a refit with the fold models on the training records; where it is worse than their
-    ensemble, fit again from other seeds and keep the best. first: the refit as `Evaluator.refit`
-    made it."""
+    """Compare a refit with the fold models on the training records; where something speaks against
+    it, fit again from other seeds. first: the refit as `Evaluator.refit` made it."""
     comparison = _Comparison(evaluator, source, metric, fold_models)
     tried: list[RefitModel | CandidateError] = []
     models: list[bytes] = []
@@ -96,7 +92,7 @@ def check_refit(
             models.append(fitted.model)
         tried.append(fitted)
         comparison.add(fitted.model if isinstance(fitted, RefitModel) else fitted)
-        if is_worthy(comparison.result):
+        if comparison.result.kept is not None:
             break
     check = comparison.result
     if check.kept is None:
@@ -104,22 +100,6 @@ def check_refit(
     kept = tried[check.kept - 1]
     assert isinstance(kept, RefitModel)
     return CheckedRefit(kept.model, "", check, kept.estimates)
-
-
-def is_worthy(check: RefitCheck) -> bool:
-    """Return whether it is as good as the ensemble, and as near as fold models to each other."""
-    if check.kept is None:
-        return False
-    distance, usual = check.starts[check.kept - 1].disagreement, check.fold_disagreement
-    near = distance is None or usual is None or distance <= NOT_FURTHER * usual + NEGLIGIBLE
-    return near and is_as_good(check)
-
-
-def is_as_good(check: RefitCheck) -> bool:
-    """Return whether its training error is hardly above that of the ensemble, if that has one."""
-    error = None if check.kept is None else check.starts[check.kept - 1].value
-    ensemble = check.ensemble_error
-    return error is not None and (ensemble is None or error <= NOT_WORSE * ensemble + NEGLIGIBLE)
 
 
 _COUNT = {2: "both", 3: "all three"}
@@ -238,98 +218,27 @@ class _Comparison:
         return float(np.mean(np.sqrt(np.mean(apart**2, axis=0)) / self._evaluator.data.scale))
 
 
-# The rule for the model to use. It knows training data alone; docs/design/model-to-use.md says why
-# it is as it is.
+def choose_model(single: Array, stack: Array | None, why_no_refit: str = "") -> ModelToUse:
+    """The model to use: a stack whose error on held-out records is more than one standard error
+    below that of the best candidate, else the refit, else the ensemble.
 
-
-# Nested V of a stack, relative to the best candidate's V: below the first it is named whatever the
-# refit is worth, up to the second where one model of all data is no better than a mean of models.
-STACK_GAIN, STACK_WORTH = 0.8, 1.2
-# Error of a refit on the training records, relative to the ensemble's, up to which the other third
-# of the data made it better. The fold models of the best candidate were chosen by V, the refit was
-# not.
-BETTER = 0.8
-# Disagreement of fold models, relative to the ensemble's error, up to which a mean gains nothing.
-AGREE = 0.2
-
-
-@dataclass(frozen=True)
-class FinalEvidence:
-    """Evidence for the choice of the model to use."""
-
-    value: float
-    """V of the best candidate."""
-    check: RefitCheck | None
-    """The comparison of the refit with the fold models; None where there is none."""
-    detail: str
-    """Why there is no refit; "" where there is one."""
-    stack: Stack | None
-
-    @staticmethod
-    def of(best: Experiment, refitted: Refitted) -> FinalEvidence:
-        """Return the evidence from the best candidate and the end of its search."""
-        assert best.score is not None
-        return FinalEvidence(
-            value=best.score.value,
-            check=refitted.check,
-            detail=refitted.detail if refitted.model is None else "",
-            stack=refitted.stack,
-        )
-
-
-def choose_model(evidence: FinalEvidence) -> ModelToUse:
-    """The model to use."""
-
-    def number(error: float | None) -> str:
-        return "none" if error is None else error_value(error)
-
-    value, stack, check = evidence.value, evidence.stack, evidence.check
-    if stack is not None and stack.value < STACK_GAIN * value:
-        return ModelToUse(
-            "stack",
-            f"The V of the stack by nested cross-validation, {error_value(stack.value)}, is "
-            "clearly below the "
-            f"best candidate's, {error_value(value)}.",
-        )
-    if check is None or evidence.detail:
-        why = evidence.detail or "there is no refit"
-        why = f"{why[:1].upper()}{why[1:]}."
-    else:
-        kept = check.starts[(check.kept or 0) - 1]
-        errors = f"{number(kept.value)}, the ensemble's {number(check.ensemble_error)}"
-        apart, usual, ensemble = kept.disagreement, check.fold_disagreement, check.ensemble_error
-        error = kept.value or 0.0
-        if is_worthy(check):
-            if ensemble is None or len(check.fold_errors) < 3:
-                # With two folds a fold model has seen half of the data only.
-                close = "nearly" if error > (ensemble or np.inf) else "at least"
-                text = f"It fits the training records {close} as well as the ensemble"
-                return ModelToUse("refit", f"{text} (error {errors}).")
-            if error <= BETTER * ensemble + NEGLIGIBLE:
-                text = "It fits the training records clearly better than the ensemble"
-                return ModelToUse("refit", f"{text} (error {errors}).")
-            if (usual or 0.0) <= AGREE * ensemble + NEGLIGIBLE:
-                text = (
-                    "The fold models agree, so a mean of models gains nothing, and one is simpler"
-                )
-                return ModelToUse("refit", f"{text} (training error {errors}).")
-            how = "little" if error < ensemble else "no"
-            why = f"The refit fits the training records {how} better than the ensemble ({errors})."
-        elif is_as_good(check):
-            why = (
-                "The refit differs from the fold models by more than they differ from each other: "
-                f"{number(apart)} against {number(usual)} standard deviations."
+    Args:
+        single: errors (n,) of the best candidate on parts of the held-out records
+        stack: those of the stack on the same parts; None where there is none
+        why_no_refit: in words; "" where there is a refit
+    """
+    if stack is not None:
+        behind, deviation = behind_least({"single": single, "stack": stack})
+        if behind["single"] > deviation["single"]:
+            both = error_value(float(stack.mean())), error_value(float(single.mean()))
+            return ModelToUse(
+                "stack",
+                f"On parts of the held-out records its error is {both[0]}, that of the best "
+                f"candidate {both[1]}: lower by more than one standard error.",
             )
-        else:
-            why = f"The refit's error on its own training records is {errors}."
-    if stack is not None and stack.value <= STACK_WORTH * value and len(stack.folds) > 2:
-        return ModelToUse(
-            "stack",
-            f"{why} The V of the stack by nested cross-validation, {error_value(stack.value)}, is "
-            f"near the best candidate's, {error_value(value)}, and it depends less on one "
-            "candidate.",
-        )
-    return ModelToUse("ensemble", why)
+    if why_no_refit:
+        return ModelToUse("ensemble", f"{why_no_refit[:1].upper()}{why_no_refit[1:]}.")
+    return ModelToUse("refit", "It was fitted to all training records.")
 
 
 # Few folds say little about weights that are fitted to them: weights by V alone predict as well.
@@ -353,8 +262,10 @@ def stack_weights(values: Array) -> Array:
 
 def make_stack(
     evaluator: Evaluator, view: SearchView, store: Store, metric: str, refused: Collection[int] = ()
-) -> Stack | None:
-    """The stack of all scored candidates; None where it would be one candidate alone.
+) -> tuple[Stack, Array] | None:
+    """The stack of all scored candidates, with weights from all folds, and its errors (n,) on parts
+    of the held-out records, with weights that the judged fold had no part in; None where it would
+    be one candidate alone.
 
     Args:
         refused: numbers of experiments that may not be members
@@ -370,32 +281,36 @@ def make_stack(
         # Those that were never checked must not be much better where they were not fitted.
         if e.kept or e.lowest or consistency(e.score.value, errors) >= SUSPICIOUS_RATIO:
             scored.append(e)
-    return _stack_of(scored, evaluator, store, metric)
-
-
-def _stack_of(
-    scored: Sequence[Experiment], evaluator: Evaluator, store: Store, metric: str
-) -> Stack | None:
-    """Weights from all folds, V from weights that the judged fold had no part in."""
     if not scored:
         return None
     values = np.array([[fold.value for fold in e.score.folds] for e in scored if e.score]).T
     weights = stack_weights(values)
     if np.count_nonzero(weights) < 2:
         return None
-    shortfall = find_metric(metric).shortfall
-    judged: list[float] = []
+    judged: list[tuple[Array, ...]] = []
     for fold in evaluator.data.folds:
         nested = stack_weights(np.delete(values, fold.index, axis=0))
-        y = np.concatenate([block.y for block in fold.held_out])
-        y_hat = np.zeros_like(y)
-        for place in np.flatnonzero(nested).tolist():
-            answers = store.get_arrays(scored[place].folds[fold.index].y_hat, fold.shapes)
-            y_hat += nested[place] * np.concatenate(answers)
-        judged.append(shortfall(y, y_hat, fold.scale))
+        members = np.flatnonzero(nested).tolist()
+        each = [store.get_arrays(scored[i].folds[fold.index].y_hat, fold.shapes) for i in members]
+        judged.append(
+            tuple(np.tensordot(nested[members], np.stack(y), 1) for y in zip(*each, strict=True))
+        )
     order = [k for k in np.argsort(-weights, kind="stable").tolist() if weights[k] > 0]
     members = tuple(StackMember(scored[k].number, float(weights[k])) for k in order)
-    return Stack(members, float(np.mean(judged)), tuple(judged))
+    shortfall = find_metric(metric).shortfall
+    folds = tuple(
+        shortfall(np.concatenate([b.y for b in fold.held_out]), np.concatenate(y_hat), fold.scale)
+        for fold, y_hat in zip(evaluator.data.folds, judged, strict=True)
+    )
+    return Stack(members, float(np.mean(folds)), folds), held_out_errors(evaluator, judged, metric)
+
+
+def held_out_errors(evaluator: Evaluator, answers: Sequence[Answers], metric: str) -> Array:
+    """Errors (n,) on parts of the held-out records. answers: simulations, for each fold."""
+    found: list[float] = []
+    for fold, y_hat in zip(evaluator.data.folds, answers, strict=True):
+        found += score_parts([block.y for block in fold.held_out], y_hat, fold.scale, metric)
+    return np.array(found)
 
 
 def _passes(evaluator: Evaluator, experiment: Experiment, store: Store) -> bool:
@@ -425,7 +340,7 @@ def refit_best(
     biased = {e.number for e in view.finished} - sound if best.number in sound else set[int]()
     biased |= {e.number for e in view.finished if e.unconfirmed}
 
-    def stacked(refused: Collection[int] = ()) -> Stack | None:
+    def stacked(refused: Collection[int] = ()) -> tuple[Stack, Array] | None:
         if problem.control is not None:  # A mean of responses is no response.
             return None
         refused = biased.union(refused)
@@ -454,7 +369,7 @@ def refit_best(
                 checked = check_refit(evaluator, source, models, refit.model, metric)
         except CandidateError as error:
             refit, checked = None, CheckedRefit(None, str(error), None)
-        stack = make()
+        made = make()
     estimates: str | None = None
     with diagnostic("parameter intervals", failed):
         estimates = _kept_estimates(store, checked, best)
@@ -474,28 +389,29 @@ def refit_best(
         detail=checked.detail,
         again=again,
         check=checked.check,
-        stack=stack,
+        stack=made and made[0],
         estimates=estimates,
     )
     if problem.control is not None:
         return replace(refitted, failed_checks=tuple(failed), **_chosen_controller(refitted))
-    chosen = choose_model(FinalEvidence.of(best, refitted))
+    why = "" if refitted.model is not None else refitted.detail or "there is no refit"
+    folds = zip(best.folds, evaluator.data.folds, strict=True)
+    answers = [store.get_arrays(one.y_hat, fold.shapes) for one, fold in folds]
+    single = held_out_errors(evaluator, answers, metric)
+    chosen = choose_model(single, made and made[1], why)
     refused: set[int] = set()
-    while refitted.stack is not None and (
-        chosen.model == "stack" or refitted.stack.value < best.score.value
-    ):
-        members = [view.experiment(m.experiment) for m in refitted.stack.members]
+    while made is not None and (chosen.model == "stack" or made[0].value < best.score.value):
+        members = [view.experiment(m.experiment) for m in made[0].members]
         wrong = {e.number for e in members if not is_sound(e)}
-        if not wrong and gate.confirms_stack(refitted.stack, best, view):
+        if not wrong and gate.confirms_stack(made[0], best, view):
             break
         refused |= wrong
-        refitted = replace(refitted, stack=stacked(refused) if wrong else None)
-        chosen = choose_model(FinalEvidence.of(best, refitted))
-    refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
+        made = stacked(refused) if wrong else None
+        chosen = choose_model(single, made and made[1], why)
+    refitted = replace(refitted, stack=made and made[0], use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
         room = StressRoom(evaluator, store, view, integrating(problem_facts(problem).records))
-        without = replace(FinalEvidence.of(best, refitted), stack=None)
-        second = choose_model(without).model
+        second = choose_model(single, None, why).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     with diagnostic("feedback on the inputs", failed):
         found = unheeded_feedback(problem, store.text(best.source))

@@ -23,6 +23,7 @@ from asia.agents.view import (
 )
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import score_references
+from asia.judge.scoring.outcome import explained_variance, folds_below
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
@@ -38,7 +39,6 @@ from asia.ledger.events import (
     Stopped,
 )
 from asia.ledger.index import refresh
-from asia.ledger.verdict import beats_mean
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.exports import write_exports
 from asia.problem.problem import Problem
@@ -156,7 +156,8 @@ class Loop:
                     self.problem, self.evaluator, self.view, best, self.store, metric, self.gate
                 )
                 assert best.score is not None
-                if not beats_mean(self.view):
+                is_model = self.problem.control is None
+                if is_model and folds_below(explained_variance(best.score), 0.0):
                     refitted = replace(refitted, cause=why_nothing_helps(self._shown()))
             self.record(refitted)
         if self.view.guard_due:

@@ -12,7 +12,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Final, get_args
+from typing import Final
 
 from asia._plugins import parts, version_of
 from asia.agents.registry import AGENT_ROWS, agent_row, can_read_records
@@ -46,7 +46,6 @@ from asia.problem.held_back import GUARD_SHARE
 from asia.problem.load import with_models
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
-from asia.problem.protocol import EarlyStopping
 from asia.problem.seal import guard_digest, seal
 from asia.search.decision import RETEST_LIMIT
 from asia.search.loop import Loop, OnEvent
@@ -391,19 +390,6 @@ def make_evaluator(
     data = EvaluationData(chosen, problem.train, context, rule)
     options = EvaluatorOptions(view.started.salt, without, view.started.lock_digest)
     return Evaluator(data, workers, options)
-
-
-def with_early_stopping(problem: Problem, setting: str) -> Problem:
-    """The problem with this setting instead of its file's. Raises UserError for another word."""
-    if problem.control is not None and setting != "inner":
-        raise UserError('controllers are designed without scores: keep --early-stopping "inner"')
-    for known in get_args(EarlyStopping):
-        if setting == known:
-            return replace(problem, protocol=replace(problem.protocol, early_stopping=known))
-    raise UserError(
-        f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
-        "choose one, or leave it out for the problem's own"
-    )
 
 
 def check_baseline(problem: Problem) -> None:

@@ -4,8 +4,8 @@ combinations.
 Each case is ten horizons long, or twice the longest record. The inputs are training inputs: each
 input from another record or time, all moved in time and level, or all stretched or shrunk; they
 never leave their training ranges. The initial states are perturbed. A model is bounded if its
-outputs stay within `LIMIT` half ranges of the middle of their training range, or do not go much
-further than those of the best linear model on the same inputs. An integrator drifts: it goes
+outputs stay within `BOUNDED_REACH` half ranges of the middle of their training range, or do not go
+much further than those of the best linear model on the same inputs. An integrator drifts: it goes
 further, but no faster than the measured outputs moved, or their speed changed: two integrators in a
 row. Anything else diverges.
 """
@@ -24,15 +24,21 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.evaluation.results import RefitModel
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Refitted, Stack, StackMember, StressTest, Use
+from asia.ledger.events import (
+    BOUNDED_REACH,
+    Refitted,
+    Stack,
+    StackMember,
+    StressTest,
+    Use,
+)
 from asia.ledger.run import ModelToUse
-from asia.ledger.verdict import BOUNDED, stress_text
 from asia.ledger.view import Experiment, SearchView
+from asia.presentation.experiments import stress_text
 from asia.presentation.table import error_value
 from asia.problem.folds import cut
 from asia.problem.protocol import ProtocolRule
 
-LIMIT = BOUNDED.level
 TIMES_LINEAR = 3.0
 """The same, relative to that of the best linear model on the same inputs."""
 HORIZONS = 10
@@ -141,13 +147,13 @@ class StressRoom:
                 if isinstance(y, CandidateError):
                     return StressTest(use, best.number, None, "", None, "diverges")
                 reach = np.maximum(reach, self._reach(y))
-        limit = np.full_like(reach, LIMIT)
+        limit = np.full_like(reach, BOUNDED_REACH)
         linear: float | None = None
         if (reach > limit).any():
             if self._linear is None:
                 self._linear = self._linear_reach()
                 # A linear model that diverges itself says nothing of other ones.
-                self._linear[~(self._linear <= LIMIT + self._drift)] = 0.0
+                self._linear[~(self._linear <= BOUNDED_REACH + self._drift)] = 0.0
             linear = float(self._linear.max())
             limit = np.maximum(limit, TIMES_LINEAR * self._linear)
         worst = np.unravel_index(int(np.argmax(reach / limit)), reach.shape)

@@ -10,12 +10,12 @@ import numpy as np
 
 from asia._plugins import family_module
 from asia.agents.library.family import Family
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.view import Facts
 from asia.candidate import Context
 from asia.data.trajectory import Signal, Trajectory
 from asia.models import methods
 from asia.problem.plant import Plant, Unknown
+from asia.recipe import Recipe, read_recipe
 from asia.testing.candidate import check_candidate, tank, tank_context
 
 _TANK = Plant(

@@ -8,12 +8,12 @@ import numpy as np
 
 from asia.agents import Agent, AgentView, Facts, Proposal, Trial
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.view import Effort
 from asia.candidate import source_digest
 from asia.data import Signal, Trajectory
 from asia.judge.scoring.residuals import Diagnostics
 from asia.problem import ParameterRange, Physics
+from asia.recipe import Recipe, read_recipe
 
 CLEAN = Diagnostics(0.1, 0.0, 0.1, 0.05, 1.0, 1.0, 1.0, 0.05)
 EQUATIONS = Physics(

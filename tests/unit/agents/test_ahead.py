@@ -86,16 +86,16 @@ def test_bayes_counts_running_trials_as_bad_as_the_worst() -> None:
 
 def test_a_prompt_lists_running_trials_and_asks_for_another_direction() -> None:
     seen = now(trial(1), trial(2))
-    proposal = Proposal("x = 1\n", "esn", "a reservoir", "it is cheap", "better", 2)
+    proposal = Proposal("x = 1\n", "cnn", "a convolution", "it is cheap", "better", 2)
     alone, beside = (search_text(v, Task("explore")) for v in (seen, ahead(seen, proposal)))
     assert "Running" not in alone
     assert "another direction" not in alone
-    assert '#3 from #2 "esn" "a reservoir": hypothesis "it is cheap"' in beside
+    assert '#3 from #2 "cnn" "a convolution": hypothesis "it is cheap"' in beside
     assert "another direction" in beside
 
 
 def test_a_failure_is_not_mended_twice() -> None:
     seen = now(trial(1), trial(2, None))
     assert task_of(seen, 2) == Task("repair", 2)
-    mending = Proposal("x = 1\n", "esn", "mended", "it is cheap", "better", 2)
+    mending = Proposal("x = 1\n", "cnn", "mended", "it is cheap", "better", 2)
     assert task_of(ahead(seen, mending), 2).kind != "repair"

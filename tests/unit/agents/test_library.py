@@ -36,10 +36,7 @@ PROBLEMS = {
     "body": body(),
     "validation": replace(windows(), early_stopping="validation"),
 }
-SOME = [
-    pytest.param(known, id=name, marks=[] if name in ("physics", "body") else pytest.mark.long)
-    for name, known in PROBLEMS.items()
-]
+SOME = [pytest.param(PROBLEMS[name], id=name) for name in ("physics", "body")]
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def continued(
     [
         ("try narx", ["try narx"]),
         ("avoid nl_lfr", ["avoid nl_lfr"]),
-        (" avoid nl_lfr, esn", ["avoid nl_lfr", "avoid esn"]),
+        (" avoid nl_lfr, cnn", ["avoid nl_lfr", "avoid cnn"]),
         ("try", []),
         ("", []),
         ("try something new", []),
@@ -50,12 +50,12 @@ def test_notes_of_two_forms_are_understood_and_others_are_not(note: str, wishes:
 
 
 def test_a_family_to_try_is_the_next_experiment_and_only_once() -> None:
-    found = continued(PLAIN, "try gp_narx")
-    assert found[0].family == "gp_narx"
-    assert found[0].hypothesis.endswith("Note 1 is followed: try gp_narx.")
+    found = continued(PLAIN, "try narx")
+    assert found[0].family == "narx"
+    assert found[0].hypothesis.endswith("Note 1 is followed: try narx.")
     assert all("Note 1" not in proposal.hypothesis for proposal in found[1:])
     plain = continued(PLAIN, count=1)[0]
-    assert plain.family != "gp_narx"
+    assert plain.family != "narx"
     assert plain.hypothesis.find("Note") == -1
 
 

@@ -37,7 +37,7 @@ CARD = """
 from asia.agents.library.move import Card
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move
-from asia.agents.library.recipe import Recipe
+from asia.recipe import Recipe
 from asia.agents.library.space import Space, Span
 
 def start(facts):

@@ -2,10 +2,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import all_families
 from asia.candidate import check_source, source_digest
 from asia.judge.evaluation.references import LINEAR
+from asia.recipe import Recipe, read_recipe
 
 METHODS = ["Adam", "LBFGS", "LevenbergMarquardt", "LeastSquares", "MultipleShooting", "Anything"]
 

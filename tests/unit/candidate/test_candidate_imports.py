@@ -7,7 +7,7 @@ import pytest
 
 from asia.candidate import imported_libraries
 
-FAMILIES = ("arx", "gp_narx", "greybox", "linear", "neural_ss", "recurrent")
+FAMILIES = ("arx", "greybox", "linear", "narx", "neural_ss", "recurrent")
 
 
 @pytest.mark.parametrize(

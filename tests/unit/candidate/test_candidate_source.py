@@ -1,8 +1,8 @@
 import pytest
 
-from asia.agents.library.recipe import read_recipe
 from asia.candidate import check_source, executed_source, imported_libraries, source_digest
 from asia.errors import CandidateError, Reason
+from asia.recipe import read_recipe
 
 PLAIN = "def fit(trajectories, context):\n    return 1\n"
 

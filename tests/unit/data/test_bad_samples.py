@@ -31,7 +31,7 @@ def found(u: Array, y: Array, **options: Any) -> list[BadSamples]:
     return list(find_bad_samples([record], ["u"], ["y"], **options))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_clean_records_have_none(seed: int) -> None:
     assert found(*clean(seed)) == []
     assert found(*clean(seed, hold=40)) == []

@@ -12,7 +12,7 @@ from asia.data.intake.conversion import take_in
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 from asia.judge.scoring.euclidean_error import mee_table
-from asia.judge.scoring.outcome import fit_index, score_fold, score_parts, score_test, without_gaps
+from asia.judge.scoring.outcome import fit_index, score_fold, score_parts, score_test
 from asia.problem.create import init_problem, record_csv
 from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
@@ -140,11 +140,6 @@ def test_distances_count_windows_with_the_whole_group() -> None:
     y_hat = [np.zeros((2, 2)), np.zeros((2, 2))]
     table = mee_table(y, y_hat, ["a", "b"], [OutputGroup("both", ("a", "b"), "")], ())
     assert table.groups[0].steps == pytest.approx((np.sqrt(5.0), 5.0))
-
-
-def test_an_analysis_sees_the_error_on_a_straight_line() -> None:
-    y, y_hat = np.array([[1.0], [NAN], [3.0]]), np.array([[0.0], [7.0], [0.0]])
-    assert without_gaps(y, y_hat)[:, 0].tolist() == [1.0, 9.0, 3.0]
 
 
 def test_csv_with_gaps_reads_back(tmp_path: Path) -> None:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from asia.data import Signal, Trajectory, data_digest
-from asia.data.preprocess import Preprocess
+from asia.data.preprocess import Preparation, Preprocess
 from asia.data.segment import Segment
 from asia.data.statistics import delays
 from asia.errors import UserError
 from asia.ledger.run import Run
-from asia.problem.create import Preparation, init_problem
+from asia.problem.create import init_problem
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Problem

@@ -20,10 +20,8 @@ from asia.models import (
     autoregressive,
     cascaded_ltc,
     cnn,
-    esn,
     koopman,
     linear,
-    lru,
     ltc,
     neural_ss,
     recurrent,
@@ -32,12 +30,11 @@ from asia.models import (
 )
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import affine
-from asia.models._numerics.lags import FreeRun, History, Lags, OutputRange
+from asia.models._numerics.lags import History, Lags, OutputRange
 from asia.models._numerics.scaling import Scaling
-from asia.models._one_step import FreeRunModel, Polynomial, all_terms
+from asia.models._one_step import FreeRunModel, Polynomial, PolynomialRun, all_terms
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models.gp_narx import GaussianPredictor, OutputProcess
 
 NU, NY, PAST = 2, 2, 3
 CONTEXT = Context(
@@ -124,25 +121,7 @@ def polynomial_model() -> Any:
     history = History(lags, 0, lags.past_inputs - PAST, None)
     limits = OutputRange(-3 * np.ones(NY), 3 * np.ones(NY))
     one = Polynomial(terms, theta, np.ones(theta.shape, bool))
-    return FreeRunModel(None, FreeRun(one, history, limits), SCALING)
-
-
-def process_model() -> Any:
-    lags, d = Lags(2, 2, 0), 2 * NY + 2 * NU
-    each = tuple(OutputProcess(drawn(9, d), 1 + drawn(d) ** 2, drawn(9)) for _ in range(NY))
-    history = History(lags, 0, 0, None)
-    limits = OutputRange(-3 * np.ones(NY), 3 * np.ones(NY))
-    one = GaussianPredictor(0.2 * drawn(1 + d, NY), each)
-    return FreeRunModel(None, FreeRun(one, history, limits), SCALING)
-
-
-def reservoir_model(span: int | None) -> Any:
-    past = PAST * (NU + NY)
-    wide = 6 + NU + (0 if span is None else 2 * past)
-    reservoir = esn.Reservoir(drawn(6, 6), drawn(NU, 6), drawn(6), 0.5 + 0.1 * drawn(6))
-    readout = affine(drawn(wide, NY), drawn(NY))
-    member = esn.Member(reservoir, encoder(6), readout, span)
-    return esn.EchoState(esn.Config(), esn.FittedReservoirs((member, member), SCALING))
+    return FreeRunModel(None, PolynomialRun(one, history, limits), SCALING)
 
 
 MODELS: dict[str, Callable[[], Any]] = {
@@ -155,9 +134,6 @@ MODELS: dict[str, Callable[[], Any]] = {
     "neural_ss, modes": lambda: state_space_model(1, "polynomial", "modal"),
     "neural_ss with transport": carried_model,
     "narx": polynomial_model,
-    "gp_narx": process_model,
-    "esn": lambda: reservoir_model(None),
-    "esn with horizon": lambda: reservoir_model(20),
     "gru": lambda: network(recurrent, cell="gru", hidden=5, layers=2),
     "lstm": lambda: network(recurrent, hidden=5, features=("square", "sqrt")),
     "rnn": lambda: network(recurrent, cell="rnn", hidden=5),
@@ -166,7 +142,6 @@ MODELS: dict[str, Callable[[], Any]] = {
     "ltc": lambda: network(ltc, hidden=5),
     "cascaded_ltc": lambda: network(cascaded_ltc, slow=3, fast=3, width=4),
     "cnn": lambda: network(cnn, receptive_field=8, width=3, memory=3),
-    "lru": lambda: network(lru, states=3, width=3),
     "koopman": lambda: network(koopman, states=2, width=3, lift=2),
     "transformer": lambda: network(transformer, width=6, heads=2, inner=4, span=5),
 }

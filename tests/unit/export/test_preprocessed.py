@@ -23,9 +23,15 @@ from .models import CONTEXT, MODELS, PAST, ready
 INPUTS = CONTEXT.inputs
 
 
-@pytest.mark.parametrize("delay", [{}, {"u0": 4}, {"u0": 2, "u1": 6}])
-@pytest.mark.parametrize("every", [1, 2])
-@pytest.mark.parametrize("name", ["linear", "gru"])
+@pytest.mark.parametrize(
+    ("name", "every", "delay"),
+    [
+        ("linear", 1, {"u0": 4}),
+        ("linear", 2, {"u0": 2, "u1": 6}),
+        ("gru", 2, {}),
+        ("gru", 2, {"u0": 2, "u1": 6}),
+    ],
+)
 def test_it_reads_and_gives_what_is_measured(name: str, every: int, delay: dict[str, int]) -> None:
     done = Preprocess(delay, every)
     model = MODELS[name]()

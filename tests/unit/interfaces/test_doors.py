@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import asia
+from asia.analysis.verdict import usability
 from asia.ledger import run as ledger
 from asia.ledger.run import model_to_use, open_run
-from asia.ledger.verdict import usability
 from asia.problem.load import load_problem
 from asia.report.page.page import write_page
 from asia.search.run import prepare, search
@@ -27,19 +27,6 @@ from tests.unit.painting import unpainted
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 
 pytestmark = pytest.mark.slow
-
-MEAN = """
-import numpy as np
-
-
-class Model:
-    def simulate(self, past_u, past_y, u):
-        return np.full((len(u), u.shape[1], past_y.shape[2]), -3.0)
-
-
-def fit(trajectories, context):
-    return Model()
-"""
 
 # Runs of different kinds, as changes of the problem `toy` and its candidates.
 
@@ -51,28 +38,18 @@ class Kind:
     changes: tuple[tuple[str, str], ...] = ()
     """Texts in problem.toml and what replaces them."""
     sources: tuple[str, ...] = (arx(2),)
-    baseline: str = ""
     unsealed: bool = False
     validated: bool = True
     finished: bool = True
 
 
-# Kinds that print by the same ways as others: compared before a release.
-OFTEN_ALIKE = ("not validated", "worse than the mean", "absolute errors", "every second sample")
 KINDS = {
-    "several candidates": Kind(sources=(arx(2), CRASH, arx(3))),
-    "unsealed": Kind(unsealed=True),
-    "not validated": Kind(validated=False),
+    "several candidates, unsealed": Kind(sources=(arx(2), CRASH, arx(3)), unsealed=True),
     "not finished": Kind(finished=False, validated=False),
-    "worse than the mean": Kind(sources=(), baseline=MEAN),
     "windows": Kind(
         (("[protocol]\n", '[protocol]\nkind = "windows"\nhorizon = 20\n'),), unsealed=True
     ),
-    "absolute errors": Kind((("[protocol]\n", '[protocol]\nmetric = "mae"\n'),), unsealed=True),
     "guard": Kind((("[data]\n", '[data]\nguard = ["test.csv"]\n'), ('test = ["test.csv"]', ""))),
-    "every second sample": Kind(
-        (("[protocol]\n", "[preprocess]\ndecimate = 2\n[protocol]\n"),), unsealed=True
-    ),
 }
 
 
@@ -84,8 +61,6 @@ def run_of(kind: Kind, root: Path) -> Path:
         assert old in text
         text = text.replace(old, new)
     (problem / "problem.toml").write_text(text)
-    if kind.baseline:
-        (problem / "baseline.py").write_text(kind.baseline)
     agent = Scripted(kind.sources)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("asia.search.run.can_read_records", lambda names: False)
@@ -229,9 +204,6 @@ def as_list(value: Any) -> list[float]:
     return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
-EACH = [pytest.param(kind, marks=pytest.mark.long if kind in OFTEN_ALIKE else ()) for kind in KINDS]
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Doors]:
     """What the doors print of a run of a kind."""
@@ -247,7 +219,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Doors]:
     return of
 
 
-@pytest.mark.parametrize("kind", EACH)
+@pytest.mark.parametrize("kind", KINDS)
 def test_figures_are_the_same(kind: str, made: Callable[[str], Doors]) -> None:
     doors, wrong = made(kind), list[str]()
     for name, figure in FIGURES.items():
@@ -267,7 +239,7 @@ def test_figures_are_the_same(kind: str, made: Callable[[str], Doors]) -> None:
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("kind", EACH)
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_verdict_is_the_same(kind: str, made: Callable[[str], Doors]) -> None:
     doors = made(kind)
     judged = usability(doors.run.view)

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import asia
 from asia.analysis.data_verdict import judge_data
 from asia.data import Array
 from asia.problem.check import check_problem
@@ -66,23 +65,10 @@ class Transformation:
 
 
 TRANSFORMATIONS = {
-    "outputs times 1e-12": Transformation(y=(1e-12, 1e-12)),
     "outputs times 1e12": Transformation(y=(1e12, 1e12)),
-    "one output times 1e-9": Transformation(y=(1e-9, 1.0)),
-    "one output times 1e6": Transformation(y=(1.0, 1e6)),
-    "inputs times 1e-9": Transformation(u=(1e-9, 1e-9)),
-    "one input times 1e9": Transformation(u=(1e9, 1.0)),
-    "outputs shifted": Transformation(y_shift=100.0),
-    "inputs shifted": Transformation(u_shift=-30.0),
-    "one output negated": Transformation(y=(-1.0, 1.0)),
-    "one input negated": Transformation(u=(1.0, -1.0)),
-    "channels permuted": Transformation(permuted=True),
-    "channels renamed": Transformation(renamed=True),
     "records reordered": Transformation(reordered=True),
-    "time times 60": Transformation(time=60.0),
-    "time times 1e-6": Transformation(time=1e-6),
 }
-# A search takes seconds, so that its doors have several changes at once.
+# Several changes at once.
 TOGETHER = {
     "another unit": Transformation(
         (1e-9, 1e6), (1e9, 1e-3), y_shift=100.0, u_shift=-30.0, time=1e-6, renamed=True
@@ -130,16 +116,7 @@ DIMENSIONS = {
     # Models of a frequency response, in continuous time.
     r"^response\.delay": "t",
     r"^response\.(poles|zeros)\.\d\.(real|imag)": "/t",
-    # A run: simulations, gains and their errors, linear models.
-    r"(simulated\.(y_hat|lower|upper)|predicted)\.\d+\.(?P<o>\d)$": "y+",
-    r"parameters\.gain\.(?P<o>\d)\.(?P<i>\d)\.\w*error": "|y/u",
-    r"parameters\.gain\.(?P<o>\d)\.(?P<i>\d)\.(value|low|high|lower|upper|interval|folds\.)": "y/u",
-    r"parameters\.gain\.(?P<o>\d)\.(?P<i>\d)": "",
-    r"^export\.inputs\.(?P<i>\d)\.m": "u+",
-    r"^export\.inputs\.(?P<i>\d)": "",
-    r"^export\.outputs\.(?P<o>\d)\.m": "y+",
-    r"^export\.outputs\.(?P<o>\d)": "",
-    r"half_width\.(?P<o>\d)": "|y",
+    # Linear models.
     r"\.u\.(?P<i>\d)$": "u+",
     r"\.y\.(?P<o>\d)$": "y+",
     r"(frequency_hz|frequency_band\.\d)$": "/t",
@@ -149,20 +126,6 @@ DIMENSIONS = {
     r"fold_gains\.\d\.(?P<o>\d)\.(?P<i>\d)": "y/u",
     r"\.gains\.(?P<o>\d)\.(?P<i>\d)\.(value|interval)": "y/u",
     r"(gains|delay_samples)\.(?P<o>\d)\.(?P<i>\d)": "",
-    r"^gain\.0": "@",
-    # A controller of the first input for the first output, and the next experiment.
-    r"^control\.setpoint": "y0+",
-    r"^control\.pid\.Kp": "u0/y0",
-    r"^control\.pid\.Ki": "u0/y0t",
-    r"^control\.pid\.Kd": "u0t/y0",
-    r"^control\.pid\.Tf": "t",
-    r"^control\..*\.(settling|rise|delay_margin)$": "t",
-    r"^control\..*\.iae": "|y0t",
-    r"^control\..*\.ise": "|y0y0t",
-    r"^control\..*\.itae": "|y0tt",
-    r"^control\..*\.effort": "|u0",
-    r"^next\.noise\.(?P<o>\d)": "|y",
-    r"^next\..*\.(lower|upper)\.(?P<o>\d)": "y+",
 }  # fmt: skip
 LAWS = [(re.compile(pattern), dimension) for pattern, dimension in DIMENSIONS.items()]
 ENDS = {"low": "high", "minimum": "maximum", "at_minimum": "at_maximum", "lower": "upper"}
@@ -319,85 +282,15 @@ def unordered(facts: dict[str, Any], of: Transformation) -> None:
     facts["text"] = sorted(as_text(one, of) for one in facts["text"])
 
 
-def of_run(of: Transformation, folder: Path) -> Any:
-    """SystemIdentifier, and the commands on its run."""
-    u, y = of.records()
-    found = asia.SystemIdentifier(1, runs=folder, progress=False, budget={"retests": 0}).fit(
-        u, y, sampling_time=STEP * of.time, inputs=of.names(INPUTS), outputs=of.names(OUTPUTS)
-    )
-    new_u, new_y = of.record(3)
-    past, directory, name = found.problem_.protocol.past, found.run_.directory, found.run_.name
-    simulated = found.simulate(new_u[past:], past_u=new_u[:past], past_y=new_y[:past], bands=0.9)
-    names = dict(zip(INPUTS + OUTPUTS, (*_named(of, INPUTS), *_named(of, OUTPUTS)), strict=True))
-    file = of.write(3, folder / "new.csv")
-
-    def printed(command: str, *words: object) -> list[Any]:
-        done = command_line(command, *words, "--json")
-        assert done.code in (0, 1), done.err
-        return [json.loads(line.replace(name, "run")) for line in done.out.splitlines()]
-
-    (exported,) = found.export("numpy", folder / "export")
-    (shown,) = printed("show", directory)
-    (control,) = printed(
-        "control", directory, "--input", names["pump"], "--output", names["level"],
-        "--setpoint", of.y[0] * (1.5 + of.y_shift), "--out", folder / "control",
-    )  # fmt: skip
-    (planned,) = printed("next", directory, "--duration", 60 * STEP * of.time)
-    (monitored,) = printed("monitor", directory, file, "--parameter", f"gain({names['pump']})")
-    (linear,) = printed("linear", directory, "--continuous")
-    *checks, end = printed("validate", directory, "--record", file)
-    parameters: Any = found.parameters_
-    verdict = found.verdict_
-    for facts in (linear, planned):
-        unordered(facts, of)
-    # Drawn curves come in the order of the channels, and states in coordinates of their own.
-    del linear["drawn"]
-    for one in (linear["points"][0], linear["points"][0]["continuous"]):
-        for matrix in "ABCD":
-            one.pop(matrix, None)
-    # Levels of a planned record are drawn input by input, from the lower limit up.
-    planned = {key: planned[key] for key in ("start", "noise", "experiments")}
-    # Coefficients have the units of powers of s; the gains of the PID have the same numbers.
-    control = {key: control[key] for key in control if key not in ("num", "den", "controller")}
-    return {
-        "estimator": {
-            "value": found.value_, "score": found.score(new_u, new_y),
-            "verdict": [verdict.kind, *(one.replace(name, "run") for one in verdict.reasons)],
-            "predicted": found.predict(new_u[:60], new_y[:60])[past:].tolist(),
-            "simulated": {
-                k: getattr(simulated, k).tolist() for k in ("y_hat", "lower", "upper", "outside")
-            },
-            "parameters": _by_name(parameters.reset_index().to_dict("records"), "parameter"),
-        },
-        "show": {**shown, "parameters": _by_name(shown["parameters"], "name")},
-        "validate": {**{one["check"]: one for one in checks}, "end": end},
-        "export": json.loads((exported.folder / "model.json").read_text().replace(name, "run")),
-        "control": control, "next": planned, "linear": linear,
-        "monitor": {key: monitored[key] for key in ("valid", "alarms", "nis_inside", "threshold")},
-        "gain": list(monitored["parameters"].values()),
-    }  # fmt: skip
-
-
 def _named(of: Transformation, names: tuple[str, str]) -> list[str]:
     """Names of the channels in the order of the original."""
     return of.names(names)[:: -1 if of.permuted else 1]
-
-
-def _by_name(parameters: list[dict[str, Any]], key: str) -> dict[str, Any]:
-    """Parameters by their names, in which signals are counted from 1."""
-    return {
-        re.sub(r"gain y(\d)/u(\d)", lambda m: f"gain.{int(m[1]) - 1}.{int(m[2]) - 1}", one[key]): {
-            name: value for name, value in one.items() if name != key
-        }
-        for one in parameters
-    }
 
 
 DOORS: dict[str, Callable[[Transformation, Path], Any]] = {
     "check": checked,
     "linear FILE": linear_of_record,
     "linear RESPONSE": linear_of_response,
-    "run": of_run,
 }
 
 
@@ -408,17 +301,13 @@ def original(door: str) -> dict[str, Any]:
 
 
 QUICK = {("linear FILE", "another direction")}
-LONG = (pytest.mark.long,)
-CASES = [(door, name) for door in ("check",) for name in TRANSFORMATIONS]
-CASES += [(door, name) for door in ("linear FILE", "linear RESPONSE", "run") for name in TOGETHER]
+CASES = [("check", name) for name in (*TRANSFORMATIONS, *TOGETHER)]
+CASES += [(door, name) for door in ("linear FILE", "linear RESPONSE") for name in TOGETHER]
 
 
 @pytest.mark.parametrize(
     ("door", "name"),
-    [
-        pytest.param(*c, marks=() if c in QUICK else (pytest.mark.slow, *LONG[: c[0] == "run"]))
-        for c in CASES
-    ],
+    [pytest.param(*c, marks=() if c in QUICK else pytest.mark.slow) for c in CASES],
 )
 def test_numbers_follow_their_signals(door: str, name: str, tmp_path: Path) -> None:
     of = (TRANSFORMATIONS | TOGETHER)[name]

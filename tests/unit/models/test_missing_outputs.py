@@ -26,7 +26,7 @@ from asia.problem.plant import Plant, Unknown
 from asia.problem.protocol import ProtocolRule
 
 PAST, EVERY, LENGTH = 5, 10, 400
-QUICK = {"arx", "esn", "greybox"}
+QUICK = {"arx", "greybox"}
 NAMES = ("first", "second")
 PHYSICS = Physics(
     states=NAMES,

@@ -102,7 +102,7 @@ def test_a_simulator_that_rounds_is_calibrated_without_gradients(tmp_path: Path)
         assert value == pytest.approx(TRUTH[name], rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_residual_is_learned_on_top(tmp_path: Path) -> None:
     # The simulator knows one of the two lags of the plant.
     problem = load_problem(write(tmp_path, noise=0.01))
@@ -174,12 +174,10 @@ def test_a_function_of_other_arguments_is_refused_unexecuted(tmp_path: Path) -> 
     ("body", "message"),
     [
         ("return params['mass'] * u", "failed at tau=5, gain=0, start=0: KeyError: 'mass'"),
-        ("print('level', 7)\n    return u[1:]", "it printed: level 7"),
         (
             "print('a\\nb')\n    return 1 / 0",
             r"ZeroDivisionError: division by zero; it printed: a | b",
         ),
-        ("return u[1:]", r"an array of shape \(319, 1\), expected \(320, 1\)"),
         ("return u / (u * 0)", "returned NaN or infinity at sample 1"),
         ("import random\n    return u * random.random()", "other outputs for the same arguments"),
         ("return params['gain'] + params['tau'] * u[::-1]", "looks ahead"),
@@ -299,7 +297,7 @@ u1 = { min = -5.0, max = 5.0, unit = "V" }
         assert one.high - one.low < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_unit_makes_a_step_for_each_sample_of_a_closed_loop(tmp_path: Path) -> None:
     """Sample by sample the same outputs as at once, in the sandbox too, and twice the same."""
     from asia.export.targets.fmu import FmuTarget

@@ -37,7 +37,7 @@ def of(tanks: Problem, u: Array, y: Array) -> Problem:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_clean_record_has_its_delay_and_no_doubts(tanks: Problem, seed: int) -> None:
     problem = of(tanks, *clean(seed))
     assert data_doubts(problem) == []

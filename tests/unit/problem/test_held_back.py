@@ -97,7 +97,7 @@ def test_a_simulated_system_makes_a_fresh_record():
 @pytest.mark.parametrize(("wanted", "share"), [(None, 0.15), (True, 0.15), (False, None)])
 def test_a_workspace_holds_some_back_unless_told_not_to(tmp_path: Path, wanted, share):
     folder = write(tmp_path / "cut")
-    plain = SearchRequest(str(folder), "workspace", 0, 3, None, None, None)
+    plain = SearchRequest(problem=str(folder), agent="workspace", experiments=3)
     request = with_guard(plain, wanted, tmp_path / "runs", None)
     assert request.guard == share
     words = guard_words(load_problem(folder, request.guard), request)

@@ -190,7 +190,7 @@ def name_code_in_run(run: Path) -> None:
 def ask_for_more(run: Path) -> None:
     """The request of a run names an agent class and the weakest level."""
     request = SearchRequest(
-        "named", "hostile_agent:Hostile", 0, 4, None, None, "process",
+        problem="named", agent="hostile_agent:Hostile", experiments=4, isolation="process",
         settings={"class": "hostile_agent:Hostile"},
     )  # fmt: skip
     request.save(run)

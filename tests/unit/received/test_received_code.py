@@ -151,8 +151,6 @@ COMMANDS: tuple[tuple[str, str | None, tuple[int, ...]], ...] = (
     ("agent check --base-url none --model none --steps 1", None, REFUSED),
     ("agent try --dir problem --dry-run", None, REFUSED),
     ("try --dir problem --dry-run", None, REFUSED),
-    ("bench paper named", None, REFUSED),
-    ("bench suite --only named", None, REFUSED),
     ("bench agents named", None, REFUSED),
     ("doctor", None, DONE),
     ("models arx --problem named", None, REFUSED),
@@ -166,8 +164,8 @@ SERVED = {"view"}
 def leaves(command: Any, path: str = "") -> Iterator[str]:
     """Names of all commands below one."""
     if isinstance(command, TyperGroup):
-        for name, one in command.commands.items():
-            yield from leaves(one, f"{path} {name}".strip())
+        for name in command.list_commands(None):
+            yield from leaves(command.get_command(None, name), f"{path} {name}".strip())
     else:
         yield path
 
@@ -389,12 +387,13 @@ ACCOUNTED = {
     "judge/sandbox/worker/child.py": "candidates and their models, in the sandbox",
     "judge/sandbox/worker/keeper.py": "the C library",
     "judge/sandbox/worker/wire.py": "requests of the parent, read in the sandbox",
-    "analysis/control.py": "code that ASIA printed from numbers of a design",
+    "control/design.py": "code that ASIA printed from numbers of a design",
     "analysis/validation.py": "checks of installed packages",
     "models/_reuse.py": "results of a worker, read in a worker",
     "models/controllers.py": "models of a control problem, in the sandbox",
     "models/simulator.py": "the user's simulator, in the sandbox; one of this package anywhere",
     "models/_equations/ode.py": "numbered variables, operators and functions of a table",
+    "report/page/subject.py": "sections of installed packages",
     "problem/metrics.py": "metrics of installed packages",
     "search/sinks.py": "sinks that the user names",
     "testing/family.py": "the author's own family",

@@ -58,8 +58,7 @@ def look(page: Path, folder: Path, width: int, *, dark: bool) -> tuple[dict[str,
     return json.loads(unescape(seen[1])), "\n".join(complaints)
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize(("width", "dark"), [(390, True), (1280, False)])
 def test_the_page_fits_every_screen_and_complains_of_nothing(
     tmp_path: Path, width: int, dark: bool
 ) -> None:

@@ -5,33 +5,27 @@ from __future__ import annotations
 import re
 
 import numpy as np
-import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.text import Annotation, Text
 
-from asia.report.comparison import ArmCurves, ArmsPicture, Curve
-from asia.report.drawing.inline import PANEL, WIDE, svg_of
+from asia.report.drawing.inline import PANEL, svg_of
 from asia.report.drawing.style import drawing, plot_line, thinned
 from asia.report.pictures.experiments import (
-    LineageRow,
     Span,
     Traded,
-    draw_lineage,
     draw_timeline,
     draw_tradeoff,
     front_of,
     without_pauses,
 )
-from asia.report.pictures.progress import draw_arms
+from asia.report.pictures.progress import draw_comparison
 
 
 def test_searches_are_lines_of_their_own() -> None:
-    sides = [ArmCurves(f"search {k}", (Curve((1.0, 0.5)),)) for k in range(9)]
+    searches = {f"search {k}": [[1.0, 0.5]] for k in range(9)}
     with drawing():
-        (axes,) = draw_arms(ArmsPicture("best", "", tuple(sides), (), "rmse")).axes
+        (axes,) = draw_comparison(searches, {}, "rmse", "").axes
     named = [line for line in axes.get_lines() if str(line.get_label()).startswith("search")]
-    assert len({(line.get_color(), line.get_linestyle()) for line in named}) == len(sides)
+    assert len({(line.get_color(), line.get_linestyle()) for line in named}) == len(searches)
 
 
 def test_nothing_has_less_of_both_than_a_point_of_the_front() -> None:
@@ -52,28 +46,6 @@ def test_nothing_has_less_of_both_than_a_point_of_the_front() -> None:
     assert list(above.get_ydata()) == [few.get_ylim()[1]]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_names_of_the_trade_off_picture_lie_over_no_point(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    # Close above the front, where the names are.
-    costs = rng.uniform(0.1, 1.0, 40)
-    values = 0.1 / costs * rng.choice([1.0, 1.1, 1.3], 40)
-    many = [
-        Traded(n, "a long title of a candidate", float(value), float(cost))
-        for n, (value, cost) in enumerate(zip(values, costs, strict=True))
-    ]
-    with drawing(WIDE):
-        figure = draw_tradeoff(many, "V", "seconds of fit")
-        (axes,) = figure.axes
-        renderer = FigureCanvasAgg(figure).get_renderer()
-        names = [t for t in axes.texts if isinstance(t, Annotation)]
-        boxes = [Text.get_window_extent(name, renderer) for name in names]
-        points = axes.transData.transform([(p.cost, p.value) for p in many])
-    assert len(boxes) > 1
-    for box in boxes:
-        assert box.count_contains(points) == 0
-
-
 def test_pauses_are_cut_and_order_and_lengths_stay() -> None:
     spans = [
         Span(1, "kept", 100.0, 110.0),
@@ -92,17 +64,6 @@ def test_pauses_are_cut_and_order_and_lengths_stay() -> None:
     assert rows == {
         "bar kept experiment-1": 1.0, "bar other experiment-2": 2.0, "bar other experiment-3": 1.0,
     }  # fmt: skip
-
-
-def test_the_lineage_is_as_high_as_its_list() -> None:
-    rows = [
-        LineageRow(1, None, "keep", winning=True),
-        LineageRow(2, 1, "discard", winning=False),
-        LineageRow(3, 1, "crash", winning=False),
-        LineageRow(4, 1, "keep", winning=True),
-    ]
-    svg = svg_of(lambda: draw_lineage(rows), "", WIDE, fixed=True)
-    assert re.findall(r'<svg [^>]*height="(\d+)" aria-hidden="true">', svg) == [str(4 * 34)]
 
 
 def test_an_inline_picture_is_text_of_the_page() -> None:

@@ -5,12 +5,10 @@ from typing import Any, cast
 
 import pytest
 
-from asia.assurance.bench.suite import SUITE
 from asia.judge.scoring.outcome import TestScore as Scored
 from asia.ledger.events import TestedModel as Recorded
 from asia.ledger.events import Unsealed
 from asia.problem import protocol
-from asia.problem.load import builtin_problems
 from asia.problem.problem import Problem
 from asia.report.published import (
     Entry,
@@ -59,10 +57,6 @@ def test_the_records_of_the_boards() -> None:
     assert best("silverbox") == [0.289, 0.26, 0.257]
     assert best("parallel_wiener_hammerstein") == [0.2, 0.397, 0.412, 0.469, 0.827]
     assert best("wiener_hammerstein") == [0.241]
-
-
-def test_the_suite_is_every_built_in_benchmark() -> None:
-    assert set(SUITE) == {n for n in builtin_problems() if not n.endswith(("_sim", "_control"))}
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
+from asia.control.report import CERTIFICATE_FILE
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
 from asia.ledger.chain import Chain
@@ -39,7 +40,7 @@ from asia.problem.lock import lock_text
 from asia.problem.problem import DESCRIPTION_TEMPLATE, Seal, is_described
 from asia.report.page.code import python
 from asia.report.page.page import LIMIT, page_of, write_page
-from asia.report.page.sections.evidence import CERTIFICATE_FILE, LINEAR_FILE
+from asia.report.page.sections.evidence import LINEAR_FILE
 from asia.report.pictures.evidence import draw_ablation
 
 from .made_up import Outcomes, write_run
@@ -271,7 +272,7 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
     assert 'id="confirmation"' not in page_of(open_run(directory))
     interval = ConfirmedPair(4, 2, Interval(0.3, -0.1, 0.7))
     found = Confirmed(
-        winner=4,
+        best=4,
         seeds=5,
         tried=3,
         level=0.95,

@@ -46,12 +46,6 @@ def test_figures_are_as_wide_as_a_column_or_a_page(run: Path, tmp_path: Path) ->
             assert min(abs(width - COLUMN), abs(width - PAGE)) < 0.02, path.name
 
 
-@pytest.mark.long
-def test_the_same_run_gives_the_same_figures(run: Path, tmp_path: Path) -> None:
-    first, second = (write_figures(run, tmp_path / name) for name in ("one", "two"))
-    assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
-
-
 def test_tables_have_every_experiment_and_no_command_of_a_candidate(
     run: Path, tmp_path: Path
 ) -> None:

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from asia.data import Signal
 from asia.ledger.simulated import SimulatedCase, SimulatedCases
 from asia.report.drawing.style import drawing
-from asia.report.files import draw_cases
 from asia.report.pictures.evidence import draw_tried, draw_tried_residuals
 
 from .test_report_pictures import assert_readable
@@ -82,13 +81,6 @@ def test_many_outputs_are_chosen_by_their_residual() -> None:
     assert [axes.get_ylabel().split("\n")[0] for axes in residuals.axes[::3]] == [
         "y2", "y3", "y4", "y5",
     ]  # fmt: skip
-
-
-@pytest.mark.slow
-def test_the_same_cases_give_the_same_bytes() -> None:
-    first, second = draw_cases(cases()), draw_cases(cases())
-    assert first == second
-    assert set(first) == {"simulation", "residuals"}
 
 
 def test_a_missing_held_out_panel_is_explained_and_means_have_units() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,29 +14,16 @@ from asia.judge.scoring.euclidean_error import mee_table
 from asia.judge.scoring.residuals import cross_correlation
 from asia.ledger.run import open_run
 from asia.ledger.simulated import representative_windows
-from asia.problem.load import load_problem
-from asia.problem.lock import lock_text
-from asia.problem.problem import Problem, Seal
+from asia.problem.problem import Problem
 from asia.problem.protocol import FoldRule, Group, OutputGroup
 from asia.problem.protocol import TestRule as SealedRule
-from asia.report.comparison import (
-    ArmCurves,
-    ArmsPicture,
-    BenchPictures,
-    ComparedValue,
-    Curve,
-    PublishedMee,
-)
 from asia.report.drawing.style import drawing
-from asia.report.files import draw_bench, pictures
+from asia.report.files import pictures
 from asia.report.pictures.check import draw_data
-from asia.report.pictures.leaderboard import draw_standing
-from asia.report.pictures.progress import draw_arms
-from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth
-from asia.report.published import leaderboard
+from asia.report.pictures.progress import draw_comparison
 
 from .made_up import Shape, make_problem, write_run
-from .test_report_pictures import FIVE, assert_readable, visible_texts
+from .test_report_pictures import FIVE, assert_readable
 
 SHAPE = Shape(
     samples=(101,) * 12,
@@ -155,25 +141,13 @@ def test_windows_of_one_length_correlate_as_one_by_one() -> None:
     assert cross_correlation(a, b, 3) == pytest.approx(expected)
 
 
-def make_sides(seeds: int) -> ArmsPicture:
+def made_up_searches(seeds: int) -> dict[str, list[list[float | None]]]:
     rng = np.random.default_rng(0)
-
-    def curve(level: float) -> Curve:
-        return Curve((None, *(level * rng.uniform(1, 3, 14)).tolist(), 40.0))
-
-    sides = tuple(
-        ArmCurves(label, tuple(curve(level) for _ in range(seeds)))
-        for label, level in (
-            ("expert", 0.1),
-            ("random, library space", 0.2),
-            ("random, paper's space", 0.4),
-        )
-    )
-    levels = (
-        ComparedValue("linear model", 0.39),
-        ComparedValue("paper: agentic search, best of 15", 0.25),
-    )
-    return ArmsPicture("arms", "tanks: expert against random search", sides, levels, "rmse")
+    levels = {"expert": 0.1, "random, library space": 0.2, "random, paper's space": 0.4}
+    return {
+        name: [[None, *(level * rng.uniform(1, 3, 14)).tolist(), 40.0] for _ in range(seeds)]
+        for name, level in levels.items()
+    }
 
 
 def lines_of(figure: Figure, label: str) -> np.ndarray:
@@ -184,75 +158,20 @@ def lines_of(figure: Figure, label: str) -> np.ndarray:
 
 @pytest.mark.parametrize("seeds", [1, 3])
 def test_searches_against_each_other(seeds: int) -> None:
-    picture = make_sides(seeds)
+    agents = made_up_searches(seeds)
+    levels = {"linear model": 0.39, "paper: agentic search, best of 15": 0.25}
     with drawing():
-        figure = draw_arms(picture)
+        figure = draw_comparison(agents, levels, "rmse", "tanks: expert against random search")
         assert_readable(figure)
     drawn = lines_of(figure, "expert")
-    best = np.array([c.best_so_far(16) for c in picture.sides[0].curves])
-    assert drawn[:-1] == pytest.approx(np.median(best[:, 1:], axis=0))
+    best = np.minimum.accumulate(np.array([c[1:] for c in agents["expert"]], float), axis=1)
+    assert drawn[:-1] == pytest.approx(np.median(best, axis=0))
     assert figure.axes[0].get_ylim()[1] < 40.0
     assert list(lines_of(figure, "paper")) == [0.25, 0.25]
 
 
-def test_best_so_far() -> None:
-    curve = Curve((None, 0.5, None, 0.7, 0.2))
-    values = curve.best_so_far(6)
-    assert np.isnan(values[0])
-    assert list(values[1:]) == [0.5, 0.5, 0.5, 0.2, 0.2]
-
-
-@pytest.mark.slow
-def test_published_errors_beside_ours() -> None:
-    marks = tuple(Marks(f"paper {i}", ((10, 0.1 * i), (50, 0.9))) for i in range(1, 5))
-    lines = (
-        ErrorCurve("ensemble", np.linspace(0.01, 0.5, 50)),
-        ErrorCurve("refit", np.linspace(0.02, 0.6, 50)),
-    )
-    panels = [Growth(name, "Distance [m]", lines, marks) for name in ("p", "v", "R", "omega")]
+def test_best_so_far_of_searches_of_different_lengths() -> None:
+    agents = {"a": [[None, 0.5, None, 0.7, 0.2]], "b": [[0.9] * 6]}
     with drawing():
-        figure = draw_growth(panels, 0.01, "Sealed test", "A long note on protocols. " * 12)
-        assert_readable(figure)
-
-
-def test_another_result_is_marked_in_the_leaderboard() -> None:
-    entries = leaderboard("cascaded_tanks")
-    with drawing():
-        mark = ("paper", 0.298)
-        figure = draw_standing(entries, 0.21, Signal("level", "V"), "bench-tanks", mark)
-        assert_readable(figure)
-        legend = figure.axes[1].get_legend()
-    assert legend is not None
-    assert "0.298 V" in legend.get_texts()[0].get_text()
-
-
-@pytest.mark.slow
-def test_draw_bench_reads_runs(tmp_path: Path) -> None:
-    problem = load_problem("two_tanks_sim")
-    run = tmp_path / "run"
-    run.mkdir()
-    (run / "problem.lock.toml").write_text(lock_text(problem, Seal(None)))
-    write_run(run, problem, FIVE[:2], unsealed=1)
-    sides = make_sides(1)
-    wanted = BenchPictures(
-        (("progress-inner", run),), (sides,), run, None, (PublishedMee("x", ()),)
-    )
-    written = draw_bench(wanted, tmp_path / "bench")
-    names = itertools.product(("progress-inner", "arms"), ("png", "pdf"))
-    assert [p.name for p in written] == [f"{name}.{suffix}" for name, suffix in names]
-
-
-@pytest.mark.long
-def test_pictures_name_the_metric_of_the_problem(tmp_path: Path) -> None:
-    problem = windows_problem()
-    directory = write_run(tmp_path / "run", problem, FIVE[:2], unsealed=2)
-    drawn = dict(pictures(open_run(directory), problem))
-    with drawing():
-        words = {
-            name: " ".join(text for text, _ in visible_texts(drawn[name]()))
-            for name in ("progress", "simulation", "test")
-        }
-    assert "Cross-validated MAE / output std" in words["progress"]
-    for name, text in words.items():
-        assert "MAE" in text, name
-        assert "RMSE" not in text, name
+        drawn = lines_of(draw_comparison(agents, {}, "rmse", ""), "a")
+    assert list(drawn) == [0.5, 0.5, 0.5, 0.2, 0.2, 0.2]

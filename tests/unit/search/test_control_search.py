@@ -12,8 +12,9 @@ from asia.ledger.verification import verify
 from asia.problem.load import load_lock, load_problem
 from asia.report.page.page import write_page
 from asia.search.replay import replay_run
-from asia.search.run import LOCK, make_evaluator, prepare, with_early_stopping
+from asia.search.run import LOCK, make_evaluator, prepare
 from asia.search.scores import ScoreCheck
+from asia.search.settings import SearchSettings
 from asia.search.unsealing import unseal
 from tests.unit.problem.small_control import PI, write_control_problem
 
@@ -64,4 +65,4 @@ def test_what_knows_models_only_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="agent bayes proposes models"):
         prepare(problem, "bayes", seed=0, runs=tmp_path / "runs")
     with pytest.raises(UserError, match="without scores"):
-        with_early_stopping(problem, "validation")
+        SearchSettings(early_stopping="validation").applied(problem)

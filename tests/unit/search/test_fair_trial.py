@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.agents import AgentView, Proposal
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import all_families, family
 from asia.data import Trajectory
 from asia.errors import Reason
@@ -27,6 +26,7 @@ from asia.ledger.verification import verify
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.protocol import EarlyStopping, FoldRule, ProtocolRule
+from asia.recipe import Recipe, read_recipe
 from asia.search.fair_trial import (
     PROPOSED,
     Tried,

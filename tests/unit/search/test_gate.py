@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.analysis.verdict import alarms, unguarded, usability
 from asia.errors import UserError
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import open_run, scored_experiment
-from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.verification import verify
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem

@@ -153,7 +153,7 @@ def test_nobody_gets_to_see_it(
     assert len(held_back) == 8
     after = agent_view(problem_facts(problem), view, open_run(ready.directory).store)
     assert "7654" not in repr(after)
-    order = SearchRequest(str(guarded), "workspace", 0, 3, None, None, None)
+    order = SearchRequest(problem=str(guarded), agent="workspace", experiments=3)
     make_workspace(tmp_path / "work", ready, order)
     texts = [p.read_bytes() for p in (tmp_path / "work").rglob("*") if p.is_file()]
     assert texts

@@ -138,7 +138,7 @@ def confirmation(s: Searched) -> None:
 
 def ablation(s: Searched) -> None:
     found, _ = ablate(s.run.directory, lambda event, done, total: None, seeds=1)
-    assert found.winner == 2
+    assert found.best == 2
 
 
 def bands(s: Searched) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from asia.agents.expert.agent import ExpertAgent
+from asia.analysis.verdict import Usability, usability
 from asia.candidate import Context
 from asia.data import Signal
 from asia.errors import UserError
@@ -18,7 +19,6 @@ from asia.judge.evaluation.references import LINEAR
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.ledger.run import open_run
-from asia.ledger.verdict import Usability, usability
 from asia.models import linear
 from asia.problem.feedback import Loop
 from asia.problem.folds import make_folds

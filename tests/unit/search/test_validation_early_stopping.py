@@ -18,7 +18,8 @@ from asia.ledger.run import Run, open_run
 from asia.ledger.verification import verify
 from asia.presentation.exports import journal, results_table
 from asia.problem.load import load_problem
-from asia.search.run import prepare, with_early_stopping
+from asia.search.run import prepare
+from asia.search.settings import SearchSettings
 
 from .toy import Scripted, arx, write_problem
 
@@ -99,11 +100,11 @@ def test_it_resumes_from_every_record(problem: Path, tmp_path: Path) -> None:
 def test_one_run_holds_one_setting(inner: Run) -> None:
     runs = inner.directory.parent
     first = load_problem(runs.parent / "toy")
-    other = with_early_stopping(first, "validation")
+    other = SearchSettings(early_stopping="validation").applied(first)
     with pytest.raises(UserError, match=r"protocol\.early_stopping was 'inner', is 'validation'"):
         prepare(other, AGENT.name, seed=0, runs=runs, name=inner.name)
     with pytest.raises(UserError, match="expected inner or validation"):
-        with_early_stopping(first, "outer")
+        SearchSettings(early_stopping="outer").applied(first)
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from asia.agents import AgentView, Proposal
-from asia.agents.library.recipe import Recipe, read_recipe
+from asia.recipe import Recipe, read_recipe
 
 _FIRST = 10
 

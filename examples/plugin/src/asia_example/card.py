@@ -5,8 +5,8 @@ from __future__ import annotations
 from asia.agents import Facts
 from asia.agents.library.family import Family
 from asia.agents.library.move import Card, Move
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import Space, Span
+from asia.recipe import Recipe
 
 
 def _start(_: Facts) -> Recipe:

@@ -2,7 +2,7 @@
 
 1. Families of what the user gave, equations or a simulator, come first, then the ladder of families
    in the order of their aptness, for the first part of the budget. An effect that explains more
-   than a third of the residual of the best candidate interrupts it.
+   than a third of the residual of a nonlinear model, or that the records show, interrupts it.
 2. Effects are added to the best candidate, by the share of the residual that they explain. One that
    did not help comes after all that were not tried.
 3. The best candidate of another family is carried on as well while its error over the folds is
@@ -36,7 +36,6 @@ from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import avoided, read_notes
 from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title, title_of
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
 from asia.agents.library.traits import traits, why_nothing_helps
 from asia.agents.view import (
@@ -48,13 +47,15 @@ from asia.agents.view import (
     Running,
     Trial,
 )
+from asia.recipe import Recipe, read_recipe
 
 GIVEN = frozenset({"greybox", "physics_net", "simulator"})
 """Families of what the user gave, equations and a simulator."""
-INTERRUPTS = 1 / 3
-"""Share of the residual that an effect must explain to come before the next family."""
 SHARES = {SHOWN: 1.0, LIKELY: 0.2, POSSIBLE: 0.0}
 """Share of the residual that an effect counts for by its evidence alone, without a diagnosis."""
+INTERRUPTS = 1 / 3
+"""Share of the residual of a nonlinear model that an effect must explain to come before the next
+family. Effects on the linear model wait: the families of the ladder have them."""
 PATIENCE = 2
 """Effects in a row without a gain after which another family is tried."""
 NEAR = 0.25
@@ -141,7 +142,11 @@ def _next(view: AgentView, unwanted: set[str]) -> Proposal | None:
         for options in (effects(view), untried(view))
     )
     given = [option for option in new if option.family in GIVEN]
-    shown = [option for option in found if option.share >= INTERRUPTS]
+    shown = [
+        option
+        for option in found
+        if option.share >= (SHARES[SHOWN] if option.family == "linear" else INTERRUPTS)
+    ]
     likely = [option for option in found if option.share > 0.0]
     ladder = [option for option in new if option.apt]
     waiting = view.phase == "explore" or _idle(view) >= PATIENCE

@@ -5,11 +5,11 @@ from __future__ import annotations
 from statistics import NormalDist
 
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title
-from asia.agents.library.recipe import Arguments, Recipe, read_recipe
 from asia.agents.library.traits import DELAY_TRIED, periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
 from asia.data.statistics import noise_of_periods, relation
+from asia.recipe import Arguments, Recipe, read_recipe
 
 # Strategy while no candidate beats the mean of the output: moves to other model classes.
 

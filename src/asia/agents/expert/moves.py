@@ -8,9 +8,9 @@ from functools import cache
 from asia.agents.expert.diagnosis import COURSE_MOVES, leading_maps
 from asia.agents.library.methods import by_lbfgs, by_multiple_shooting, slow_noise
 from asia.agents.library.move import LIKELY, POSSIBLE, Move, Situation
-from asia.agents.library.recipe import GRADIENT, Recipe
 from asia.agents.library.registry import all_cards
 from asia.agents.library.trial_evidence import coloured, input_left, overfit
+from asia.recipe import GRADIENT, Recipe
 
 
 def _in_full(at: Situation) -> Recipe:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 from asia.agents.library.methods import LM
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation
-from asia.agents.library.recipe import Recipe, Value
 from asia.agents.library.trial_evidence import (
     coloured,
     curved,
@@ -14,6 +13,7 @@ from asia.agents.library.trial_evidence import (
 from asia.agents.view import Facts
 from asia.data.statistics import Cause, switching
 from asia.problem.physics import parse_expression
+from asia.recipe import Recipe, Value
 
 
 def names_of(at: Situation, setting: str) -> tuple[str, ...]:

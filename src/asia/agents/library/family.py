@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from asia.agents.library.recipe import GRADIENT, MODELS, Arguments, Recipe, read_recipe
 from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
 from asia.agents.view import AgentView, Facts
+from asia.recipe import GRADIENT, MODELS, Arguments, Recipe, read_recipe
 
 SampleCost = Literal["light", "medium", "heavy"]
 Stage = Literal["trial", "full"]

@@ -2,12 +2,12 @@
 
 from asia.agents.library.family import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
 from asia.agents.library.move import LIKELY, POSSIBLE, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured
 from asia.agents.view import Facts
 from asia.data.statistics import integrating
+from asia.recipe import Arguments, Recipe
 
 LM = "LevenbergMarquardt"
 _LARGE_BATCH = 384

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from asia.agents.library.family import Family
-from asia.agents.library.recipe import Recipe
 from asia.agents.view import AgentView, Facts, Trial
+from asia.recipe import Recipe
 
 POSSIBLE, LIKELY, SHOWN = 1, 2, 3
 """Evidence for an effect. POSSIBLE: the model can have it. LIKELY: the residual or the form of the

@@ -11,10 +11,10 @@ from itertools import pairwise
 
 from asia._plugins import family_module, library
 from asia.agents.library.family import Family
-from asia.agents.library.recipe import MODELS, Recipe
 from asia.agents.library.registry import families
 from asia.agents.library.space import Span
 from asia.agents.view import Facts
+from asia.recipe import MODELS, Recipe
 
 # Options of model families and training methods, with the texts of their classes.
 

@@ -12,10 +12,10 @@ from asia._plugins import Part, family_module, parts_of
 from asia.agents.library import cards
 from asia.agents.library.family import Family
 from asia.agents.library.move import Card
-from asia.agents.library.recipe import MODELS
 from asia.agents.view import Facts
 from asia.candidate import source_tree
 from asia.errors import CandidateError, UserError
+from asia.recipe import MODELS
 
 GROUP = "asia.families"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asia.agents.library.recipe import Recipe, Value
+from asia.recipe import Recipe, Value
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ import numpy as np
 from asia._text import one_line
 from asia.agents.expert.agent import Option, effects, untried
 from asia.agents.library.move import plain_title
-from asia.agents.library.recipe import Recipe, Value, read_recipe
 from asia.agents.library.registry import family
 from asia.agents.library.space import Span, applies
 from asia.agents.llm.prompt import bounded, signal_lines, trial_line
 from asia.agents.llm.reply import Choice, MalformedReplyError
 from asia.agents.view import AgentView, Facts, Proposal
 from asia.problem.metrics import metric_label
+from asia.recipe import Recipe, Value, read_recipe
 
 _MOST = 8
 # Settings of a candidate, values of a setting, characters of a reason.

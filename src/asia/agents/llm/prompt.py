@@ -13,7 +13,6 @@ import numpy as np
 
 from asia._syntax import syntax_tree
 from asia._text import one_line
-from asia.agents.library.recipe import MODELS
 from asia.agents.library.registry import families
 from asia.agents.library.space import Span
 from asia.agents.llm.control import (
@@ -32,6 +31,7 @@ from asia.problem.physics import Physics
 from asia.problem.plant import Plant
 from asia.problem.problem import correction_lines, prior_lines, symmetry_lines
 from asia.problem.symmetry import Symmetry
+from asia.recipe import MODELS
 
 # Text for a prompt: bounded, and where it comes from a candidate, visibly data.
 

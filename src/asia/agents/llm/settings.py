@@ -6,9 +6,10 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
+from annotated_types import Ge, Le
 from pydantic import TypeAdapter
 
 from asia._plugins import is_installed
@@ -22,23 +23,43 @@ _OURS = frozenset({
 })  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
+class RequestSettings:
+    """Settings of every request to a language model. The command line shows the texts."""
+
+    proposals: Annotated[
+        Proposals, "The model writes candidates (free), chooses from a menu, or does both."
+    ] = "free"
+    temperature: Annotated[float | None, Ge(0.0), "Passed to the server; not sent by default."] = (
+        None
+    )
+    top_p: Annotated[
+        float | None, Ge(0.0), Le(1.0), "Passed to the server; not sent by default."
+    ] = None
+    api_key_env: Annotated[
+        str, "Environment variable that holds the key; local servers need none."
+    ] = "OPENAI_API_KEY"
+    max_reply_tokens: Annotated[int, Ge(1), "Limit of one reply, with its reasoning."] = 16_384
+    anonymous: Annotated[
+        bool,
+        "Hide names, units, description and equations, to measure the value of prior knowledge.",
+    ] = False
+
+
 @dataclass(frozen=True)
-class LlmSettings:
-    """Settings of the requests to a language model, and caps for the whole search.
+class LlmSettings(RequestSettings):
+    """Settings of a language model, and caps for the whole search.
 
     Args:
         base_url: of an OpenAI-compatible server, None for OpenAI's
-        temperature, top_p, seed, extra_body: sent with every request, unless None
+        seed, extra_body: sent with every request, unless None
         max_tokens_total: input and output tokens
         max_cost: USD
         prices: USD per million tokens, None when unknown
-        max_reply_tokens: limit of one reply
         repairs: attempts to correct the form of a reply, and experiments in a row to correct a
             failed candidate
         retries, retry_seconds: number of attempts and total waiting time when the server is
             busy
-        anonymous: hide the identity of the system
-        proposals: sources that the model writes, candidates chosen from a menu, or both
         local: weights, sampler and version of a server that ASIA started; {} for another one
 
     Raises:
@@ -47,22 +68,16 @@ class LlmSettings:
 
     model: str
     base_url: str | None = None
-    temperature: float | None = None
-    top_p: float | None = None
     seed: int | None = None
     extra_body: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    api_key_env: str = "OPENAI_API_KEY"
     max_tokens_total: int | None = None
     max_cost: float | None = None
     price_input: float | None = None
     price_output: float | None = None
-    max_reply_tokens: int = 16_384
     repairs: int = 2
     retries: int = 6
     retry_seconds: float = 300.0
     timeout_seconds: float = 600.0
-    anonymous: bool = False
-    proposals: Proposals = "free"
     local: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:

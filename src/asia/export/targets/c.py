@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from asia._files import PACKAGE
-from asia.analysis.monitor import INCREASE, Observer
 from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
@@ -27,8 +26,8 @@ from asia.lowering.program import Node, Program, Shape
 # Files around `model.c`.
 
 
-def template(name: str, **values: object) -> str:
-    """A file of `templates` with a value for each `@NAME@`."""
+def template(name: str | Path, **values: object) -> str:
+    """A file of `templates`, or at an absolute path, with a value for each `@NAME@`."""
     text = (PACKAGE / "export" / "targets" / "templates" / name).read_text("utf-8")
     for key, value in values.items():
         text = text.replace(f"@{key}@", str(value))
@@ -48,14 +47,14 @@ NO_FLOAT = (
 def header(model: ExportModel) -> str:
     """Text of `model.h`."""
     states = sum(math.prod(s) for s in model.lowered.states)
-    return template("model.h", **_header_fields(model), STATES=max(states, 1))
+    return template("model.h", **header_fields(model), STATES=max(states, 1))
 
 
-def _header_fields(model: ExportModel) -> dict[str, object]:
+def header_fields(model: ExportModel) -> dict[str, object]:
     """Values of the fields that both header templates share."""
     low = model.lowered
     rows = [
-        f" * {side} {i}: {_plain(s.name)} {_plain(s.unit)}, trained from {a:g} to {b:g}"
+        f" * {side} {i}: {plain_text(s.name)} {plain_text(s.unit)}, trained from {a:g} to {b:g}"
         for side, signals, span in (
             ("input", model.inputs, model.input_range),
             ("output", model.outputs, model.output_range),
@@ -63,7 +62,7 @@ def _header_fields(model: ExportModel) -> dict[str, object]:
         for i, (s, (a, b)) in enumerate(zip(signals, span.tolist(), strict=True))
     ]
     return {
-        "TITLE": _plain(f"{model.problem}: {model.use} of run {model.name}"),
+        "TITLE": plain_text(f"{model.problem}: {model.use} of run {model.name}"),
         "SIGNALS": "\n".join(rows),
         "SAMPLING_TIME": repr(model.sampling_time),
         "NU": low.nu,
@@ -73,8 +72,8 @@ def _header_fields(model: ExportModel) -> dict[str, object]:
     }
 
 
-def _names(signals: Sequence[Signal]) -> str:
-    return ",".join(_plain(s.name) for s in signals)
+def column_names(signals: Sequence[Signal]) -> str:
+    return ",".join(plain_text(s.name) for s in signals)
 
 
 def example_csv(model: ExportModel, window: SimulatedSegment) -> str:
@@ -86,11 +85,11 @@ def example_csv(model: ExportModel, window: SimulatedSegment) -> str:
     rows = np.concatenate(
         [np.concatenate([u, window.u]), np.concatenate([y, window.y_hat])], axis=1
     )
-    names = _names((*model.inputs, *model.outputs))
+    names = column_names((*model.inputs, *model.outputs))
     return "\n".join([names, *(",".join(repr(float(v)) for v in row) for row in rows), ""])
 
 
-def _plain(text: str) -> str:
+def plain_text(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9 _.:/^-]", "_", text)
 
 
@@ -307,7 +306,7 @@ class Statements:
             return Value(lambda i: "R(0.0)", shape)
         start = self.memory.take(size)
         self._mine[start] = self._indent
-        return _place("w", start, shape, frozenset((start,)))
+        return value_at("w", start, shape, frozenset((start,)))
 
     def _value(self, node: Node, operands: list[Value], uses: int) -> Value:
         if node.op == "reshape":
@@ -484,7 +483,7 @@ class Statements:
         return target
 
 
-def _place(name: str, start: int, shape: Shape, places: frozenset[int] = frozenset()) -> Value:
+def value_at(name: str, start: int, shape: Shape, places: frozenset[int] = frozenset()) -> Value:
     prefix = f"{start} + " if start else ""
     return Value(lambda i: f"{name}[{prefix}{i}]", shape, places=places)
 
@@ -549,7 +548,10 @@ one."""
     def print(self, model: ExportModel) -> Printed:
         """Print the files; the sizes are those of `double`."""
         source, work = c_source(model)
-        outputs, columns = _names(model.outputs), _names((*model.inputs, *model.outputs))
+        outputs, columns = (
+            column_names(model.outputs),
+            column_names((*model.inputs, *model.outputs)),
+        )
         files = {
             "model.c": source.encode(),
             "model.h": header(model).encode(),
@@ -581,11 +583,11 @@ def c_source(model: ExportModel) -> tuple[str, int]:
     stack."""
     low, constants = model.lowered, Constants()
     parts = zip(slices(low.states), low.states, strict=True)
-    states = [_place("x->x", part.start, shape) for part, shape in parts]
-    u, y = _place("u", 0, (low.nu,)), _place("y", 0, (low.ny,))
+    states = [value_at("x->x", part.start, shape) for part, shape in parts]
+    u, y = value_at("u", 0, (low.nu,)), value_at("y", 0, (low.ny,))
     window = [
-        _place("past_u", 0, (low.n_past_u, low.nu)),
-        _place("past_y", 0, (low.n_past_y, low.ny)),
+        value_at("past_u", 0, (low.n_past_u, low.nu)),
+        value_at("past_y", 0, (low.n_past_y, low.ny)),
         u,
     ]
     parts = (
@@ -593,15 +595,16 @@ def c_source(model: ExportModel) -> tuple[str, int]:
         (low.update, [*states, u], states), (low.step, [*states, u], [y, *states]),
     )  # fmt: skip
     functions = [
-        _function(head, *part, constants) for head, part in zip(_STEP_FUNCTIONS, parts, strict=True)
+        c_function(head, *part, constants)
+        for head, part in zip(_STEP_FUNCTIONS, parts, strict=True)
     ]
     body = "\n".join(text for text, _ in functions)
     title = re.sub(r"[^A-Za-z0-9 _.,:-]", "_", f"{model.problem}: {model.use} of run {model.name}")
-    top = [f"/* {title}. */", '#include "model.h"', *_preamble(body, constants)]
+    top = [f"/* {title}. */", '#include "model.h"', *preamble(body, constants)]
     return "\n".join([*top, body]), max(size for _, size in functions)
 
 
-def _preamble(body: str, constants: Constants) -> list[str]:
+def preamble(body: str, constants: Constants) -> list[str]:
     """Macros, constants and helpers that the functions use."""
     return [
         "#include <math.h>",
@@ -626,102 +629,12 @@ _STEP_FUNCTIONS = (
     "void asia_update(asia_state *x, const asia_real *u)",
     "void asia_step(asia_state *x, const asia_real *u, asia_real *y)",
 )
-_OBSERVER_FUNCTIONS = (
-    "static void observer_initial(double *z, const double *past_u, const double *past_y, "
-    "const double *u)",
-    "static void observer_output(const double *z, const double *u, double *y, double *slope)",
-    "static void observer_update(const double *z, const double *u, double *after, double *slope)",
-)
 
 
-def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
-    """Print an extended Kalman filter: `observer.c`, `observer.h`, `observe.c`, `Makefile`.
-
-    Args:
-        model: names, units and ranges of the signals
-    """
-    low, n, constants = observer.low, observer.order, Constants()
-    z, u = _place("z", 0, (n,)), _place("u", 0, (low.nu,))
-    window = [_place("past_u", 0, (low.n_past_u, low.nu)),
-              _place("past_y", 0, (low.n_past_y, low.ny)), u]  # fmt: skip
-    parts = (
-        (low.initial, window, [z]),
-        (observer.output, [z, u], [_place("y", 0, (low.ny,)), _place("slope", 0, (low.ny, n))]),
-        (observer.update, [z, u],
-         [_place("after", 0, (n,)), _place("slope", 0, (n, n + low.nu))]),
-    )  # fmt: skip
-    body = "\n".join(
-        _function(head, *part, constants)[0]
-        for head, part in zip(_OBSERVER_FUNCTIONS, parts, strict=True)
-    )
-
-    def row(values: Sequence[float] | Array) -> str:
-        return ", ".join(number(float(v)) for v in values)
-
-    named = observer.parameters
-    values = ["{" + row([p.nominal, p.spread, p.low, p.high, p.floor]) + "}" for p in named] or [
-        "{0.0}"
-    ]
-    filled = template(
-        "observer.c",
-        START=row(observer.start),
-        DRIVE=row(observer.drive),
-        INPUT_NOISE=row(observer.noise.input),
-        OUTPUT_NOISE=row(observer.noise.output),
-        VALUES=", ".join(values),
-        FORGETTING=repr(observer.forgetting),
-        THRESHOLD=repr(observer.threshold),
-        DEVIATIONS=repr(observer.deviations),
-        FACTOR=repr(0.5 * (1.0 - 1.0 / INCREASE)),
-        LOSS=repr(0.5 * math.log(INCREASE)),
-    )
-    about = _header_fields(model)
-    source = [
-        f"/* {about['TITLE']}: observer. */",
-        '#include "observer.h"',
-        "#include <string.h>",
-        "#undef ASIA_FLOAT",
-        "typedef double asia_real;",
-        *_preamble(body, constants),
-        body,
-        filled,
-    ]
-    names = [_plain(p.name) for p in named]
-    printed = [f"{_plain(s.name)}_expected" for s in model.outputs] + ["nis", "statistic"]
-    printed += [column for name in names for column in (name, f"{name}_deviation")] + ["since"]
-    made = template(
-        "observer.h",
-        **about,
-        N=n,
-        P=len(named),
-        THRESHOLD=f"{observer.threshold:.4g}",
-        PARAMETERS=", ".join(names) or "none",
-    )
-    columns = _names((*model.inputs, *model.outputs))
-    makefile = template("Makefile").replace("model", "observer").replace("main", "observe")
-    return {
-        "observer.c": "\n".join(source).encode(),
-        "observer.h": made.encode(),
-        "observe.c": template("observe.c", COLUMNS=columns, PRINTED=",".join(printed)).encode(),
-        "Makefile": makefile.encode(),
-    }
-
-
-def observed(
-    compiler: str, folder: Path, windows: Sequence[SimulatedSegment], width: int
-) -> tuple[list[Array], float]:
-    """Compile the files of `observer_files` and run them on windows: results (H, width) as
-    `observer_harness.c` writes them, and the seconds of all."""
-    calls = [((w.past_u, w.past_y, w.u, w.y), (len(w.u), width)) for w in windows]
-    return _run_compiled(
-        compiler, folder / "observer.c", "observer_harness.c", "asia_observe", calls
-    )
-
-
-def _run_compiled(
+def run_compiled(
     compiler: str,
     source: Path,
-    harness: str,
+    harness: str | Path,
     name: str,
     calls: Sequence[tuple[Sequence[Array], tuple[int, ...]]],
     *,
@@ -756,7 +669,7 @@ def _run_compiled(
         return found, seconds
 
 
-def _function(
+def c_function(
     head: str, program: Program, inputs: list[Value], outputs: list[Value], constants: Constants
 ) -> tuple[str, int]:
     code = Statements(constants)
@@ -780,7 +693,7 @@ def _simulated(
     compiler: str, folder: Path, windows: Sequence[SimulatedSegment], *, single: bool
 ) -> Answers:
     calls = [((w.past_u, w.past_y, w.u), w.y_hat.shape) for w in windows]
-    y_hat, seconds = _run_compiled(
+    y_hat, seconds = run_compiled(
         compiler, folder / "model.c", "harness.c", "asia_run", calls, single=single
     )
     if not single:

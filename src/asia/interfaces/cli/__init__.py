@@ -12,19 +12,19 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import typer
 from typer.core import TyperGroup
 
 from asia._diagnostic import error_sentence
-from asia._plugins import Part, parts_of
+from asia._plugins import Part, ordered, parts_of
 from asia._text import say
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.interfaces.cli import agent as _agent
 from asia.interfaces.cli import bench as _bench
+from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import (
-    certify,
     demo,
     doctor,
     export,
@@ -32,8 +32,6 @@ from asia.interfaces.cli import (
     init,
     linear,
     models,
-    monitor,
-    next_experiment,
     query,
     report,
     show,
@@ -44,10 +42,8 @@ from asia.interfaces.cli import (
     verify,
     view,
 )
-from asia.interfaces.cli import check as _check
-from asia.interfaces.cli import control as _control
 from asia.interfaces.cli import run as _run
-from asia.interfaces.cli.options import with_groups
+from asia.interfaces.cli.options import AddedOptions, Command, with_groups
 
 __all__ = ["app", "main"]
 
@@ -57,22 +53,40 @@ PLUGINS = "asia.commands"
 
 
 class Commands(TyperGroup):
-    """The commands of ASIA and of installed plugins."""
+    """The commands of this package and of plug-ins, each made when it is asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """List the names, plugins last; without plugins whose names clash, see `asia doctor`."""
-        own = [*MAIN_COMMANDS, *MORE_COMMANDS]
+        """List the names, plug-ins last that have no place of their own; without plug-ins whose
+        names clash, see `asia doctor`."""
+        names, others = [*MAIN_COMMANDS, *MORE_COMMANDS], list[Part]()
         with suppress(UserError):
-            own += [part.name for part in parts_of(PLUGINS) if part.name not in own]
-        return own
+            others = [part for part in parts_of(PLUGINS) if part.name not in names]
+        return ordered(names, {p.name: getattr(_loaded(p), "after", None) for p in others})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command, from a plugin if it is none of ASIA's; None if there is none."""
-        own = super().get_command(ctx, cmd_name)
-        if own is not None:
-            return own
-        part = next((part for part in parts_of(PLUGINS) if part.name == cmd_name), None)
-        return None if part is None else _plugin_command(part)
+        """Return the command, from a plug-in if it is none of this package; None if there is
+        none."""
+        run, panel = MAIN_COMMANDS.get(cmd_name), None
+        if run is None:
+            run, panel = MORE_COMMANDS.get(cmd_name), "More commands"
+        if run is None:
+            part = next((part for part in parts_of(PLUGINS) if part.name == cmd_name), None)
+            if part is None:
+                return None
+            run, panel = _loaded(part), f"Commands of {part.package}"
+            if isinstance(run, Command):
+                run, panel = run.run, None
+        if not isinstance(run, typer.Typer):
+            own, run = run, typer.Typer(add_completion=False, rich_markup_mode="markdown")
+            prints = _on_terminal if own in _SEARCHES else partial(bool, own in _PRINTING)
+            run.command()(
+                with_groups(
+                    own, _BRIEF_HELP.get(own), prints_progress=prints, added=_added(cmd_name)
+                )
+            )
+        command: Any = typer.main.get_command(run)
+        command.name, command.rich_help_panel = cmd_name, panel
+        return command
 
 
 def _group(text: str, group: type[TyperGroup] = TyperGroup) -> typer.Typer:
@@ -93,7 +107,7 @@ app = _group(
 )
 app.info.name = "asia"
 agent_app = _group("Connect a coding agent or a language model, or work by hand in a workspace.")
-bench_app = _group("Run benchmarks: the paper's, the suite, or agents compared.")
+bench_app = _group("Compare agents.")
 
 MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "init": init.init,
@@ -105,10 +119,6 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "report": report.report,
     "unseal": unseal.unseal,
     "linear": linear.linear,
-    "control": _control.control,
-    "monitor": monitor.monitor,
-    "certify": certify.certify,
-    "next": next_experiment.next_,
     "extend": extend.extend,
     "export": export.export,
     "view": view.view,
@@ -133,8 +143,6 @@ _AGENT: dict[str, Callable[..., None]] = {
     "check": _agent.llm_check,
 }
 _BENCH: dict[str, Callable[..., None]] = {
-    "paper": _bench.paper,
-    "suite": _bench.suite,
     "agents": _bench.compare_agents,
 }
 _BRIEF_HELP = {
@@ -154,32 +162,22 @@ def _on_terminal() -> bool:
     return sys.stdout.isatty()
 
 
-for _app, _commands, _panel in (
-    (app, MAIN_COMMANDS, None),
-    (app, MORE_COMMANDS, "More commands"),
-    (agent_app, _AGENT, None),
-    (bench_app, _BENCH, None),
-):
+for _app, _commands in ((agent_app, _AGENT), (bench_app, _BENCH)):
     for _name, _command in _commands.items():
-        if isinstance(_command, typer.Typer):
-            _app.add_typer(_command, name=_name, rich_help_panel=_panel)
-        else:
-            _own = _app is not app or _command in _PRINTING
-            _prints = _on_terminal if _command in _SEARCHES else partial(bool, _own)
-            _shown = with_groups(_command, _BRIEF_HELP.get(_command), prints_progress=_prints)
-            _app.command(_name, rich_help_panel=_panel)(_shown)
+        _shown = with_groups(_command, _BRIEF_HELP.get(_command), prints_progress=lambda: True)
+        _app.command(_name)(_shown)
 
 
-def _plugin_command(part: Part) -> Any:
-    """Build the command of a plugin: a Typer app, or a function whose parameters are its options.
-    A part that does not load becomes a command that says so."""
+def _loaded(part: Part) -> Command | Callable[..., None] | typer.Typer:
+    """Load the command of a plug-in; one that does not load becomes a command that says so."""
     try:
         loaded = part.load()
-        if not isinstance(loaded, typer.Typer) and not inspect.isfunction(loaded):
-            raise UserError(
-                f"command {part.name} of package {part.package}: expected a typer.Typer or a "
-                f"function, got {type(loaded).__name__}"
-            )
+        if isinstance(loaded, Command | typer.Typer) or inspect.isfunction(loaded):
+            return loaded
+        raise UserError(
+            f"command {part.name} of package {part.package}: expected a typer.Typer or a "
+            f"function, got {type(loaded).__name__}"
+        )
     except UserError as error:
         reason = error
 
@@ -187,14 +185,17 @@ def _plugin_command(part: Part) -> Any:
             """Does not load; `asia doctor` gives the reason."""
             raise reason
 
-        loaded = broken
+        return broken
 
-    plugin = loaded if isinstance(loaded, typer.Typer) else typer.Typer(add_completion=False)
-    if inspect.isfunction(loaded):
-        plugin.command()(with_groups(loaded))
-    command: Any = typer.main.get_command(plugin)
-    command.name, command.rich_help_panel = part.name, f"Commands of {part.package}"
-    return command
+
+def _added(name: str) -> list[AddedOptions]:
+    """Options that plug-ins add to a command; without those that do not load."""
+    found: list[AddedOptions] = []
+    with suppress(UserError):
+        for part in parts_of("asia.command_options"):
+            if part.name.partition(".")[0] == name and part.why_not() is None:
+                found.append(cast("AddedOptions", part.load()))
+    return found
 
 
 @app.callback(invoke_without_command=True)
@@ -263,8 +264,7 @@ def spread(words: list[str]) -> list[str]:
     known = {
         "init": init.LISTS,
         "validate": ("--columns",),
-        "bench paper": _bench.LISTS,
-        "bench agents": _bench.COMPARE_LISTS,
+        "bench agents": _bench.LISTS,
     }
     lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2])) or ()
     for name, first, second in zip(words, words[1:], words[2:], strict=False):

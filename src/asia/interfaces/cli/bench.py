@@ -1,274 +1,35 @@
-"""asia bench: comparisons of agents, the paper's and the suite's benchmarks."""
+"""asia bench agents: a comparison of agents at equal budgets."""
 
 from __future__ import annotations
 
 import json as jsonlib
+import statistics
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia._text import one_line, say, say_lines
+from asia._text import printable_line, say, say_lines
 from asia.errors import UserError
-from asia.interfaces.cli.options import DEFAULT_RUNS, Json, ProblemName, Runs, YesProcess
+from asia.interfaces.cli.options import DEFAULT_RUNS, Json, ProblemName, Runs
 from asia.interfaces.cli.output import experiment_line
+from asia.ledger.chain import write_whole
 from asia.ledger.events import Evaluated
 from asia.presentation.table import error_value
-from asia.problem.protocol import EarlyStopping
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from asia.assurance.bench.comparison import BenchResult, ComparisonPlan, Paper, PlannedRun
+    from asia.agents.registry import NamedAgent
+    from asia.analysis.comparison import Pair, Reached, Row
     from asia.ledger.events import Event
     from asia.ledger.view import SearchView
     from asia.problem.problem import Problem
 
-
-@dataclass
-class SearchLines:
-    """One line per experiment; with `json`, JSON lines on stdout and these lines on stderr."""
-
-    json: bool
-
-    def head(self, plan: ComparisonPlan) -> None:
-        """Print the plan."""
-        searches = plan.searches
-        total = sum(run.problem.budget.experiments for run in searches)
-        self.print(
-            f"{plan.word} {plan.problem.name}: {len(searches)} searches, {total} experiments, "
-            f"seeds {', '.join(str(s) for s in plan.seeds)}, early stopping "
-            f"{', '.join(plan.settings)}"
-        )
-
-    def on_run(self, run: PlannedRun, number: int, total: int) -> None:
-        """Print the name of the search."""
-        self.print(f"\n[{number}/{total}] {run.name}")
-
-    def on_event(self, event: Event, view: SearchView) -> None:
-        """Print the line of an evaluated experiment."""
-        if isinstance(event, Evaluated):
-            self.print(experiment_line(view.experiment(event.experiment), view))
-
-    def on_end(self, run: PlannedRun, view: SearchView) -> None:
-        """Print the best V of the search."""
-        value = view.best_value
-        text = "no candidate has a score" if value is None else f"best V {error_value(value)}"
-        self.print(f"    {text} after {len(view.finished)} experiments")
-        if self.json:
-            found = {
-                "event": "run",
-                "run": run.name,
-                "arm": run.arm.name,
-                "early_stopping": run.setting,
-                "seed": run.seed,
-                "experiments": len(view.finished),
-                "V": value,
-            }
-            say(jsonlib.dumps(found, allow_nan=False), flush=True)
-
-    def on_benchmark(self, plan: ComparisonPlan) -> None:
-        """Print the plan of one of several benchmarks."""
-        self.head(plan)
-
-    def on_left_out(self, name: str, reason: str) -> None:
-        """Print the reason."""
-        self.print(f"{name} is left out: {one_line(reason)}")
-
-    def print(self, text: str) -> None:
-        """Print a text line."""
-        say(text, file=sys.stderr if self.json else sys.stdout, flush=True)
-
-
-# asia bench paper: the comparisons of the paper on this machine.
-
-
-LISTS = ("--seeds", "--arms")
-DEFAULT_SEEDS = 3
-
-
-def paper(
-    problem: Annotated[
-        str,
-        typer.Argument(
-            metavar="PROBLEM",
-            help="cascaded-tanks, nanodrone, another built-in name, or a directory with "
-            "problem.toml.",
-        ),
-    ],
-    experiments: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Candidates for each search; default the paper's number or the problem's."
-        ),
-    ] = None,
-    seeds: Annotated[
-        list[int] | None,
-        typer.Option(
-            metavar="N | S S ...",
-            help=f"One number: the number of seeds, from 0 on (default {DEFAULT_SEEDS}). Several "
-            "numbers: the seeds.",
-        ),
-    ] = None,
-    early_stopping: Annotated[
-        str, typer.Option(help="inner (honest), validation (as in the paper), or both.")
-    ] = "both",
-    arms: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="ARM ...", help="Some of expert, random, random-paper, references; default all."
-        ),
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Minutes: few experiments, one seed, short fits.")
-    ] = False,
-    unseal: Annotated[
-        bool,
-        typer.Option("--unseal", help="At the very end, open the sealed test of the declared run."),
-    ] = False,
-    yes_process: YesProcess = False,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
-) -> None:
-    """Repeat the comparisons of the paper, expert against random search, next to its figures.
-
-    Each early-stopping setting has its own table. After an interrupt, the same command continues.
-    The expert's run with the first seed is declared for the sealed test before it starts. Without
-    --unseal no test is opened.
-    """
-    from asia.assurance.bench.comparison import ComparisonPlan, make_arms, select_arms
-    from asia.assurance.bench.comparison import bench as compare
-
-    settings: dict[str, tuple[EarlyStopping, ...]] = {
-        "inner": ("inner",),
-        "validation": ("validation",),
-        "both": ("inner", "validation"),
-    }
-    if early_stopping not in settings:
-        raise UserError(f"--early-stopping {early_stopping}: expected inner, validation or both")
-    loaded, figures = _load_compared(problem)
-    # The references need their full training.
-    known = tuple(arm for arm in make_arms(figures) if arm.fixed is None or not quick)
-    plan = ComparisonPlan(
-        problem=loaded,
-        arms=select_arms(known, arms),
-        seeds=_chosen_seeds(seeds, 1 if quick else DEFAULT_SEEDS),
-        runs=runs,
-        settings=settings[early_stopping],
-        experiments=experiments,
-        paper=figures,
-        quick=quick,
-    )
-    lines = SearchLines(json)
-    lines.head(plan)
-    result = compare(plan, lines, open_test=unseal, process_consent=yes_process)
-    _print_result(result, json=json)
-
-
-def _load_compared(name: str) -> tuple[Problem, Paper | None]:
-    """Load the problem, and the figures of the paper if it treats this problem."""
-    from asia.assurance.bench.comparison import paper as paper_figures
-    from asia.problem.load import builtin_problems, load_problem
-
-    builtin = name.replace("-", "_")
-    if builtin in builtin_problems():
-        return load_problem(builtin), paper_figures(builtin)
-    return load_problem(name), None
-
-
-def _chosen_seeds(given: list[int] | None, default: int) -> tuple[int, ...]:
-    """Return the seeds for `--seeds N` (0 to N - 1) or `--seeds S S ...`."""
-    if given is None:
-        return tuple(range(default))
-    if min(given) < 0 or given == [0]:
-        raise UserError(
-            f"--seeds {' '.join(str(s) for s in given)}: expected how many seeds (3 for 0, 1, 2), "
-            "or several seeds (0 1 2), none below 0"
-        )
-    return tuple(range(given[0])) if len(given) == 1 else tuple(given)
-
-
-def _print_result(result: BenchResult, *, json: bool) -> None:
-    """Print the tables and the paths of documents and pictures; with `json`, one object."""
-    from asia.assurance.bench.comparison import result_object
-
-    if json:
-        say(jsonlib.dumps({"event": "done", **result_object(result)}, allow_nan=False))
-        return
-    say()
-    for table in result.tables:
-        say_lines(table.markdown())
-    say(f"tables   {result.document}")
-    _print_pictures(result.pictures)
-    if result.test is None and result.declared is not None:
-        say(f"sealed   the test of {result.declared} is declared and unopened: --unseal")
-
-
-def _print_pictures(pictures: Iterable[Path]) -> None:
-    for picture in pictures:
-        if picture.suffix == ".png":
-            say(f"picture  {picture}")
-
-
-# asia bench suite: every benchmark next to its board.
-
-
-def suite(
-    only: Annotated[
-        str | None, typer.Option(metavar="NAME,NAME", help="Some of the benchmarks; default all.")
-    ] = None,
-    experiments: Annotated[
-        int | None,
-        typer.Option(min=1, help="Candidates for each search; default the problem's number."),
-    ] = None,
-    unseal: Annotated[
-        bool, typer.Option("--unseal", help="At the very end, open the sealed tests.")
-    ] = False,
-    yes_process: YesProcess = False,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
-) -> None:
-    """Search every benchmark once with the expert, and print the results next to its board.
-
-    Without --unseal no test is opened. After an interrupt, the same command continues.
-    """
-    from asia.assurance.bench.suite import SuitePlan, bench_suite, select_problems
-
-    plan = SuitePlan(select_problems(only), runs, experiments)
-    result = bench_suite(plan, SearchLines(json), open_test=unseal, process_consent=yes_process)
-    if not json:
-        say()
-        say_lines(result.table.markdown())
-        say(f"table    {result.document}")
-        _print_pictures(result.pictures)
-        return
-    found = {
-        r.name: {
-            "V": r.value,
-            "experiments": r.experiments,
-            "left_out": r.left_out or None,
-            "unit": r.board.unit if r.board else None,
-            "figures": {
-                s.figure.name: {
-                    "value": s.figure.value,
-                    "rank": s.rank if s.among > 1 else None,
-                    "among": s.among,
-                }
-                for s in (r.board.standings if r.board else ())
-            },
-        }
-        for r in result.results
-    }
-    done = {"event": "done", "suite": found, "document": str(result.document)}
-    say(jsonlib.dumps(done, allow_nan=False))
-
-
-# asia bench agents: agents against each other at equal budgets.
-
-
-COMPARE_LISTS = ("--seeds",)
+LISTS = ("--seeds",)
+_DEFAULT_SEEDS = 5
 
 
 def compare_agents(
@@ -281,8 +42,8 @@ def compare_agents(
         list[int] | None,
         typer.Option(
             metavar="N | S S ...",
-            help="One number: the number of seeds, from 0 on (default 5). Several numbers: the "
-            "seeds.",
+            help=f"One number: the number of seeds, from 0 on (default {_DEFAULT_SEEDS}). Several "
+            "numbers: the seeds.",
         ),
     ] = None,
     experiments: Annotated[
@@ -301,27 +62,176 @@ def compare_agents(
     curves with bands. After an interrupt, the same command continues.
     """
     from asia.agents.registry import choose_agent
-    from asia.assurance.bench.comparison import Arm, ComparisonPlan, bench
-    from asia.search.run import with_early_stopping
+    from asia.analysis.comparison import experiments_to_reach, pairs_of, plan_searches, rows_of
+    from asia.problem.load import load_problem
+    from asia.search.settings import SearchSettings
 
-    def arm(name: str) -> Arm:
-        chosen = choose_agent(name)
-        made = chosen.agent.name
-        return Arm(made, name, lambda: choose_agent(name).agent, settings=chosen.settings)
+    def named(name: str) -> tuple[str, Callable[[], NamedAgent]]:
+        return choose_agent(name).agent.name, lambda: choose_agent(name)
 
-    arms = tuple(arm(name.strip()) for name in agents.split(",") if name.strip())
-    loaded, _ = _load_compared(problem)
-    if early_stopping is not None:
-        loaded = with_early_stopping(loaded, early_stopping)
-    plan = ComparisonPlan(
-        problem=loaded,
-        arms=arms,
-        seeds=_chosen_seeds(seeds, 5),
-        runs=runs,
-        settings=(loaded.protocol.early_stopping,),
-        experiments=experiments,
-        word="compare",
-    )
-    lines = SearchLines(json)
-    lines.head(plan)
-    _print_result(bench(plan, lines), json=json)
+    loaded = SearchSettings(early_stopping=early_stopping).applied(load_problem(problem))
+    compared = [named(name.strip()) for name in agents.split(",") if name.strip()]
+    searches = plan_searches(loaded, compared, _chosen_seeds(seeds), experiments)
+    file = sys.stderr if json else sys.stdout
+
+    def on_event(event: Event, view: SearchView) -> None:
+        if isinstance(event, Evaluated):
+            say(experiment_line(view.experiment(event.experiment), view), file=file, flush=True)
+
+    views: dict[tuple[str, int], SearchView] = {}
+    for number, search in enumerate(searches, start=1):
+        say(file=file)
+        say(f"[{number}/{len(searches)}] {search.run}", file=file, flush=True)
+        view = views[search.agent, search.seed] = search.search(runs, on_event)
+        value = view.best_value
+        text = "no candidate has a score" if value is None else f"best V {error_value(value)}"
+        say(f"    {text} after {len(view.finished)} experiments", file=file, flush=True)
+        if json:
+            found = {
+                "event": "run",
+                "run": search.run,
+                "agent": search.agent,
+                "seed": search.seed,
+                "experiments": len(view.finished),
+                "V": value,
+            }
+            say(jsonlib.dumps(found, allow_nan=False), flush=True)
+    rows, reached, pairs = rows_of(views), experiments_to_reach(views), pairs_of(views)
+    setting = loaded.protocol.early_stopping
+    directory = runs / f"compare-{loaded.name}-{setting}"
+    document = directory / "comparison.md"
+    shown = any(view.started.residuals == "held_out" for view in views.values())
+    tables = [_v_table(rows, reached, validation=setting == "validation", shown=shown)]
+    if pairs:
+        tables.append(_pair_table(pairs, len({seed for _, seed in views})))
+    text = "\n".join([f"# {loaded.name}: agents at equal budgets\n", *tables])
+    write_whole(document, text.encode(), durable=False)
+    pictures = _draw(loaded, views, directory)
+    if not json:
+        say()
+        say_lines("\n".join(tables))
+        say(f"tables   {document}")
+        say(f"picture  {pictures[0]}")
+        return
+    done = {
+        "event": "done",
+        "early_stopping": setting,
+        "rows": [{**asdict(row), "V": row.median} for row in rows],
+        "reached": [asdict(one) for one in reached],
+        "pairs": [{**asdict(pair), "p": pair.p} for pair in pairs],
+        "document": str(document),
+        "pictures": [str(path) for path in pictures],
+    }
+    say(jsonlib.dumps(done, allow_nan=False))
+
+
+def _chosen_seeds(given: list[int] | None) -> tuple[int, ...]:
+    """Return the seeds for `--seeds N` (0 to N - 1) or `--seeds S S ...`."""
+    if given is None:
+        return tuple(range(_DEFAULT_SEEDS))
+    if min(given) < 0 or given == [0]:
+        raise UserError(
+            f"--seeds {' '.join(str(s) for s in given)}: expected how many seeds (3 for 0, 1, 2), "
+            "or several seeds (0 1 2), none below 0"
+        )
+    return tuple(range(given[0])) if len(given) == 1 else tuple(given)
+
+
+def _draw(
+    problem: Problem, views: Mapping[tuple[str, int], SearchView], directory: Path
+) -> tuple[Path, ...]:
+    """Draw V of every experiment of every search, and the linear model's."""
+    from asia.judge.evaluation.references import LINEAR_REFERENCE
+    from asia.judge.scoring.outcome import Score
+    from asia.report.files import save
+    from asia.report.pictures.progress import draw_comparison
+
+    curves: dict[str, list[list[float | None]]] = {}
+    for (agent, _), view in views.items():
+        curves.setdefault(agent, []).append([e.value for e in view.finished])
+    references = next(iter(views.values())).references
+    levels = {
+        one.name: one.outcome.value
+        for one in references
+        if one.name == LINEAR_REFERENCE and isinstance(one.outcome, Score)
+    }
+    title = f"{problem.name}: agents at equal budgets, {problem.protocol.early_stopping} "
+    title += "early stopping"
+    metric = problem.protocol.metric
+    return save([("comparison", lambda: draw_comparison(curves, levels, metric, title))], directory)
+
+
+# Tables: aligned Markdown that reads as well on a terminal.
+
+
+def _v_table(
+    rows: Sequence[Row], reached: Sequence[Reached], *, validation: bool, shown: bool
+) -> str:
+    """Write V of every row. shown: agents saw residuals of the held-out folds."""
+    title = "V with inner early stopping: nothing of the held-out fold is seen in training"
+    header = ["model", "V", "lowest", "highest", "runs"]
+    if validation:
+        title = "V with validation early stopping: training asks for its score on the held-out "
+        title += "fold, so V is not leak-free"
+        header.append("scores seen")
+    cells: list[list[str]] = []
+    for row in rows:
+        scored = len(row.values)
+        runs = str(row.runs) if scored == row.runs else f"{scored} of {row.runs} scored"
+        values = row.median, min(row.values, default=None), max(row.values, default=None)
+        found = [row.model, *map(_number, values), runs, str(row.scores_seen)]
+        cells.append(found[: len(header)])
+    notes: list[str] = []
+    if any(row.runs > 1 for row in rows):
+        notes.append("V is the median over the runs, one a seed.")
+    for one in reached:
+        each = ", ".join(
+            f"seed {seed}: {'not reached' if count is None else count}"
+            for seed, count in one.experiments.items()
+        )
+        counts = [count for count in one.experiments.values() if count is not None]
+        middle = f"; median {statistics.median(counts):g}" if len(counts) > 1 else ""
+        notes.append(
+            f"Experiments the {one.agent} needed to reach the best V of {one.other}: {each}{middle}"
+        )
+    if validation:
+        notes.append("Scores seen: number of held-out scores that the fits of one V received.")
+    title += "; agents saw residuals of the held-out folds" if shown else ""
+    return _markdown(title, header, cells, notes)
+
+
+def _pair_table(pairs: Sequence[Pair], seeds: int) -> str:
+    rows: list[list[str]] = []
+    for pair in pairs:
+        ratios = pair.ratios
+        better = f"{sum(r < 1 for r in ratios)} of {len(ratios)}" if ratios else "-"
+        ratio = _number(statistics.median(ratios) if ratios else None)
+        p = "-" if pair.p is None else f"{pair.p:.2g}"
+        rows.append([f"{pair.first} : {pair.second}", str(len(ratios)), better, ratio, p])
+    notes = [
+        "V ratio: first over second, below 1 where the first is better. p: two-sided signed-rank "
+        f"test over the seeds; with {seeds} it cannot be below {min(1.0, 2.0 ** (1 - seeds)):.2g}."
+    ]
+    if seeds < 6:
+        notes.append("With fewer than 6 seeds no difference can be significant at 5 %.")
+    header = ["pair", "seeds", "first better", "median V ratio", "p"]
+    return _markdown("Paired by seed", header, rows, notes)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else error_value(value)
+
+
+def _markdown(
+    title: str, header: list[str], rows: Sequence[list[str]], notes: Sequence[str]
+) -> str:
+    """Write title, aligned table and notes."""
+    # Names of agents and signals neither end a row nor make a column.
+    cells = [[printable_line(text).replace("|", "\\|") for text in row] for row in (header, *rows)]
+    widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
+    cells.insert(1, ["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])])
+    lines = [
+        f"| {' | '.join([first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])])} |"
+        for first, *rest in cells
+    ]
+    return "\n".join([f"## {title}", "", *lines, *(f"\n{note}" for note in notes)]) + "\n"

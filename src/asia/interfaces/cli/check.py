@@ -39,11 +39,11 @@ def check(
     check_baseline(loaded)
     make_folds(loaded.train, loaded.protocol)
     in_workspace = is_workspace(Path(problem))
-    if loaded.control is not None:
-        for line in control_lines(loaded, level_here()):
-            say(line)
-        # The rest is about the records from which models are identified.
-        loaded = replace(loaded.control.base, name=loaded.name, description=loaded.description)
+    for line in control_lines(loaded, level_here()) if loaded.control else ():
+        say(line)
+    # Of a control problem the rest is about the records from which models are identified.
+    base = loaded.identification
+    loaded = replace(base, name=loaded.name, description=loaded.description)
     report = check_problem(loaded, seal(loaded), in_workspace=in_workspace)
     simulator = check_plant(loaded, level_here()) if loaded.plant else []
     # A verdict needs a linear model.

@@ -49,7 +49,7 @@ def doctor(
 ) -> None:
     """Test every isolation level on this machine, print how to enable a stronger one, and list the
     installed plugins."""
-    from asia._plugins import parts
+    from asia._plugins import OWN, parts
     from asia.judge.sandbox.availability import machine, survey
     from asia.judge.sandbox.layers.pids import most_pids
 
@@ -65,7 +65,7 @@ def doctor(
     used = next(state.level for state in levels if state.works)
     found, clash = (), None
     try:
-        found = tuple(parts())
+        found = tuple(part for part in parts() if part.package != OWN)
     except UserError as error:
         clash = str(error)
     if not json:

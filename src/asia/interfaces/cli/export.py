@@ -35,16 +35,6 @@ def export(
         Path | None,
         typer.Option(help="Folder for one folder per target; default: export in the run."),
     ] = None,
-    observer: Annotated[
-        bool,
-        typer.Option(
-            "--observer", help="With --to c: also the observer of asia monitor, in observer."
-        ),
-    ] = False,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option(help="Parameter that the observer estimates, as for asia monitor."),
-    ] = None,
     options: RunOptions,
 ) -> None:
     """Write a model of a run as code for other programs.
@@ -57,34 +47,22 @@ def export(
 
     if not to:
         raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")
-    if (observer or parameter) and ("c" not in to or not observer):
-        raise UserError("--observer belongs to --to c, and --parameter to --observer")
-    directory, level = options.directory(run), options.level
-
-    def show(target: str, files: Sequence[Path], rows: Sequence[ParityRow]) -> None:
+    for one in write(options.directory(run), to, model, out, isolation=options.level):
         if options.json:
-            facts = {
-                "target": target,
-                "files": [str(path) for path in files],
-                "parity": {row.target: row.difference for row in rows},
-                "microseconds_per_step": {row.target: row.microseconds for row in rows},
-                "bytes": rows[0].bytes,
-            }
-            say(jsonlib.dumps(facts, allow_nan=False))
-
-    for one in write(directory, to, model, out, isolation=level):
-        show(one.target, one.files, one.parity)
+            say(parity_json(one.target, one.files, one.parity))
         options.print([
             *table(one.parity), f"sampling time {one.sampling_time:g} s, a row a step",
             *(f"note      {note}" for note in one.notes), str(one.folder),
         ])  # fmt: skip
-    if observer:
-        from asia.export.monitor import Monitor, export_observer
 
-        if model is not None and model != "refit" and not model.isdigit():
-            raise UserError(f"--observer: give --model refit or an experiment, not {model}")
-        found = Monitor(directory, parameter or (), model=model, isolation=level)
-        folder = (out or directory / "export") / "c" / "observer"
-        files, row = export_observer(found, folder)
-        show(row.target, files, [row])
-        options.print([*table([row])[1:], str(folder)])
+
+def parity_json(target: str, files: Sequence[Path], rows: Sequence[ParityRow]) -> str:
+    """Files of a target and their comparison with the simulation, as a JSON line."""
+    facts = {
+        "target": target,
+        "files": [str(path) for path in files],
+        "parity": {row.target: row.difference for row in rows},
+        "microseconds_per_step": {row.target: row.microseconds for row in rows},
+        "bytes": rows[0].bytes,
+    }
+    return jsonlib.dumps(facts, allow_nan=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,6 +24,10 @@ from asia.interfaces.cli.options import (
 )
 from asia.interfaces.cli.run import Driver, make_driver, search_and_print
 from asia.presentation.experiments import value_text
+
+if TYPE_CHECKING:
+    from asia.agents.view import Agent
+    from asia.search.run import Prepared
 
 # Candidates of the old search that are proposed first, and how much larger their V may be.
 _LEADING, _FAR = 3, 4.0
@@ -52,10 +56,11 @@ def extend(
 
     Repeat the command to resume. Exit code 3: no candidate has a score.
     """
-    from asia.agents.leading import LeadingAgent, leading_settings
+    from asia.agents.leading import LeadingAgent, LeadingCandidate, leading_settings
     from asia.ledger.run import open_run
     from asia.presentation.table import error_value
-    from asia.search.extension import error_on_record, extended_problem, leading_candidates
+    from asia.search.extension import error_on_record, extended_problem, leading_experiments
+    from asia.search.pending import check_steps_ahead
 
     options.check()
     timer = ActivityTimer()
@@ -65,11 +70,24 @@ def extend(
         budget = options.experiments or old.view.budget
         if budget < 3:
             raise UserError(f"a budget of {budget} experiments: give --experiments 3 or more")
-        candidates = leading_candidates(old, min(_LEADING, budget - 2), _FAR)
+        candidates = [
+            LeadingCandidate(
+                one.proposed.family, one.proposed.title, old.store.text(one.source),
+                f"{old.name} #{one.number:02d}, V {error_value(one.score.value)}",
+            )
+            for one in leading_experiments(old.view, min(_LEADING, budget - 2), _FAR)
+            if one.score is not None
+        ]  # fmt: skip
         following = make_driver(agent, None, ModelOptions(), LlmOptions(), CommandOptions())
         folder = out or Path(f"{old.view.started.problem}-{record.stem}")
         problem, notes = extended_problem(old, record, folder)
         use, outcome = error_on_record(old, record, options.level)
+
+    def make_agent(ready: Prepared) -> Agent:
+        then = following.make(ready)
+        check_steps_ahead(ready.started.parallel, then)
+        return LeadingAgent(candidates, then)
+
     best = old.view.best
     assert best is not None
     assert best.score is not None
@@ -86,7 +104,7 @@ def extend(
         options.applied(problem),
         Driver(
             LeadingAgent.name,
-            lambda ready: LeadingAgent(candidates, following.make(ready)),
+            make_agent,
             leading_settings(candidates, following.name, following.settings),
             following.notes,
         ),

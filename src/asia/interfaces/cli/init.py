@@ -13,23 +13,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia._text import say
+from asia.data.preprocess import Preparation
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
     ColumnNames,
     Experiment,
     Keys,
-    Runs,
     Time,
     TimeUnit,
-    candidate_level,
-    run_directory,
 )
 
 if TYPE_CHECKING:
     from asia.data.intake.sheet import Wanted
-    from asia.judge.sandbox.types import Isolation
 
 
 # Questions of asia init on a terminal; the columns found in the files are the defaults.
@@ -37,18 +32,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InitAnswers:
-    """Files, columns and test of a new problem."""
+    """Files, columns and test of a new problem, as options and as answers."""
 
-    train: list[Path]
-    test: list[Path]
-    inputs: list[str]
-    outputs: list[str]
-    sampling_time: float | None
-    """s; None: found from the time stamps."""
-    seal: bool | None
-    """None: not decided."""
-    test_experiments: list[str] = field(default_factory=list[str])
-    """Experiments in the training files that are the test."""
+    train: Annotated[list[Path], "Files with training records. Asked for on a terminal."] = field(
+        default_factory=list[Path]
+    )
+    inputs: Annotated[list[str], "Input columns. Asked for on a terminal."] = field(
+        default_factory=list[str]
+    )
+    outputs: Annotated[list[str], "Output columns. Asked for on a terminal."] = field(
+        default_factory=list[str]
+    )
+    sampling_time: Annotated[
+        float | None, "Sampling time in seconds, above 0. Default: from the time stamps."
+    ] = None
+    test: Annotated[list[Path], "Test records."] = field(default_factory=list[Path])
+    seal: Annotated[
+        bool | None,
+        "Move the test records into an encrypted store; without --test, the last 20 % of each "
+        "record.",
+    ] = None
+    test_experiments: Annotated[
+        list[str], "Names of the experiments in the training files that are the test."
+    ] = field(default_factory=list[str])
     references: list[str] = field(default_factory=list[str])
     """Columns that look like references of a control loop."""
 
@@ -216,30 +222,9 @@ LISTS = (
 
 
 def init(
+    *,
     name: Annotated[Path, typer.Argument(help="Directory to make; its name is the problem's.")],
-    train: Annotated[
-        list[Path] | None,
-        typer.Option(help="Files with training records. Asked for on a terminal."),
-    ] = None,
-    inputs: Annotated[
-        list[str] | None, typer.Option(help="Input columns. Asked for on a terminal.")
-    ] = None,
-    outputs: Annotated[
-        list[str] | None, typer.Option(help="Output columns. Asked for on a terminal.")
-    ] = None,
-    sampling_time: Annotated[
-        float | None,
-        typer.Option(help="Sampling time in seconds, above 0. Default: from the time stamps."),
-    ] = None,
-    test: Annotated[list[Path] | None, typer.Option(help="Test records.")] = None,
-    seal: Annotated[
-        bool | None,
-        typer.Option(
-            "--seal/--no-seal",
-            help="Move the test records into an encrypted store; without --test, the last 20 % of "
-            "each record.",
-        ),
-    ] = None,
+    answers: InitAnswers,
     time: Time = None,
     time_unit: TimeUnit = None,
     columns: ColumnNames = None,
@@ -248,42 +233,8 @@ def init(
         list[float] | None,
         typer.Option(help="Values that mark missing samples, such as 999.9. [[data.missing]]"),
     ] = None,
-    test_experiments: Annotated[
-        list[str] | None,
-        typer.Option(help="Names of the experiments in the training files that are the test."),
-    ] = None,
-    delay: Annotated[
-        str | None,
-        typer.Option(
-            help='Samples to delay the inputs by; "auto": from correlations. [preprocess]'
-        ),
-    ] = None,
-    decimate: Annotated[int, typer.Option(help="Keep every Nth sample. [preprocess]")] = 1,
-    detrend: Annotated[
-        bool,
-        typer.Option(
-            "--detrend",
-            help="In each fold, subtract the training mean from every signal. [preprocess]",
-        ),
-    ] = False,
-    scale: Annotated[
-        bool,
-        typer.Option(
-            "--scale",
-            help="In each fold, divide every signal by its training standard deviation. "
-            "[preprocess]",
-        ),
-    ] = False,
+    preparation: Preparation,
     keys: Keys = None,
-    control: Annotated[
-        str | None,
-        typer.Option(
-            help="Run whose models become the plant of a search for a controller. --inputs are "
-            "those of the controller, others disturbances; --outputs those with a set point."
-        ),
-    ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
     yes: Annotated[
         bool, typer.Option("--yes", help="Ask nothing: use the detected columns, and seal a test.")
     ] = False,
@@ -307,26 +258,11 @@ def init(
     - `role` of an input: "disturbance" (nobody sets it), "scheduling" (gain and poles follow it) or
       "time_step" (irregular samples)
 
-    asia init NAME --control RUN writes the problem of a search for a controller: the models of the
-    run are the plant, and the ranges of its records the limits.
-
     docs/problem.md and docs/use/simulator.md, in a clone of ASIA, say more.
     """
-    if control is not None:
-        other = [train, sampling_time, test, time, columns, test_experiments, delay]
-        if any(one is not None for one in other) or seal or detrend or scale or decimate != 1:
-            raise UserError("--control takes the records of the run: give --inputs, --outputs only")
-        _control_problem(
-            name,
-            run_directory(runs, control),
-            split_at_commas(inputs or ()),
-            split_at_commas(outputs or ()),
-            candidate_level(isolation),
-        )
-        return
     from asia.data.intake.sheet import Missing, Wanted
     from asia.data.store import key_folder
-    from asia.problem.create import Preparation, init_problem
+    from asia.problem.create import init_problem
 
     printed = monotonic()
 
@@ -340,20 +276,10 @@ def init(
     named = tuple(split_at_commas(columns or ()))
     missing = tuple(Missing(code=code) for code in missing_code or ())
     wanted = Wanted((), (), time, time_unit, experiment_column, named, missing, progress)
-    if sampling_time is not None and not 0 < sampling_time < inf:
-        raise UserError(
-            f"--sampling-time is {sampling_time:g}: expected a number of seconds above 0"
-        )
-    given = InitAnswers(
-        train or [],
-        test or [],
-        inputs or [],
-        outputs or [],
-        sampling_time,
-        seal,
-        test_experiments or [],
-    )
-    answers = completed(given, wanted, yes=yes)
+    step = answers.sampling_time
+    if step is not None and not 0 < step < inf:
+        raise UserError(f"--sampling-time is {step:g}: expected a number of seconds above 0")
+    answers = completed(answers, wanted, yes=yes)
     if answers.seal:
         from asia.search.run import check_hidden_from_workers
 
@@ -370,7 +296,7 @@ def init(
         seal=bool(answers.seal),
         keys=keys,
         wanted=wanted,
-        preparation=Preparation(delay, decimate, detrend, scale),
+        preparation=preparation,
         references=answers.references,
     )
     for text in made.read:
@@ -409,16 +335,3 @@ def init(
     say(f"next     describe the system in {made.path.parent / 'description.md'}")
     say(f"         asia check {name}")
     say(f"         asia run {name}")
-
-
-def _control_problem(
-    name: Path, run: Path, inputs: Sequence[str], outputs: Sequence[str], isolation: Isolation
-) -> None:
-    """Write the control problem of a run, and print its ranges."""
-    from asia.export.control_problem import control_problem_of_run
-
-    made = control_problem_of_run(name, run, inputs, outputs, isolation=isolation)
-    for line in made.lines:
-        say(line)
-    say(f"wrote    {made.path}")
-    say(f"next     asia run {name}")

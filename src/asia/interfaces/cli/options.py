@@ -9,26 +9,28 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Sequence
 from copy import copy
-from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args, get_origin, get_type_hints
 
 import typer
+from annotated_types import Ge, Le
 from typer.models import OptionInfo
 
 from asia._progress import reported
 from asia._text import say
+from asia.agents.llm.settings import RequestSettings
 from asia.errors import UserError
 from asia.ledger.folder import linked_workspace, workspace_around
 from asia.ledger.run import find_run
+from asia.search.settings import SearchSettings
 
 if TYPE_CHECKING:
     from asia.agents.llm.agent import LlmAgent
     from asia.interfaces.coding_agents.session import Access
     from asia.interfaces.workspace.process import SearchRequest
     from asia.judge.sandbox.types import Isolation
-    from asia.problem.problem import Problem
 
 
 # Options of a jail: access of a program in it to more than its workspace.
@@ -128,9 +130,11 @@ class ModelOptions:
     ] = None
 
 
-@dataclass(frozen=True)
-class LlmOptions:
+@dataclass(frozen=True, kw_only=True)
+class LlmOptions(RequestSettings):
     """Server, sampling and limits of a language model."""
+
+    panel: ClassVar[str] = "Language model (--agent llm)"
 
     base_url: Annotated[
         str | None,
@@ -145,48 +149,17 @@ class LlmOptions:
             metavar="GGUF", help="Start and stop a server with this model on this machine instead."
         ),
     ] = None
-    proposals: Annotated[
-        Literal["free", "menu", "both"] | None,
-        _own(
-            help="The model writes candidates (free, default), chooses from a menu, or does both."
-        ),
-    ] = None
-    temperature: Annotated[
-        float | None, _own(min=0.0, help="Passed to the server; not sent by default.")
-    ] = None
-    top_p: Annotated[
-        float | None, _own(min=0.0, max=1.0, help="Passed to the server; not sent by default.")
-    ] = None
     llm_seed: Annotated[
-        int | None, _own(help="Seed for the server, which may ignore it; not sent by default.")
+        int | None, "Seed for the server, which may ignore it; not sent by default."
     ] = None
     extra_body: Annotated[
         str | None,
         _own(metavar="JSON", help="More fields of the request, such as '{\"top_k\": 20}'."),
     ] = None
-    api_key_env: Annotated[
-        str,
-        _own(
-            metavar="NAME", help="Environment variable that holds the key; local servers need none."
-        ),
-    ] = "OPENAI_API_KEY"
-    max_reply_tokens: Annotated[
-        int | None, _own(min=1, help="Limit of one reply, with its reasoning; default 16384.")
-    ] = None
     prices: Annotated[
         str | None,
         _own(metavar="IN,OUT", help="USD for a million input and output tokens, such as 0.5,2."),
     ] = None
-    anonymous: Annotated[
-        bool,
-        _own(
-            "--anonymous",
-            help=(
-                "Hide names, units, description and equations, to measure the value of prior "
-                "knowledge."
-            ),
-        ),
-    ] = False
 
     def agent(self, caps: ModelOptions) -> LlmAgent:
         """Make the agent. Raises UserError for invalid options."""
@@ -214,28 +187,23 @@ class LlmOptions:
                     f"--extra-body {self.extra_body}: expected a JSON object, such as "
                     "'{\"top_k\": 20}'"
                 )
-        server, model, proposals = None, caps.model or "", self.proposals or "free"
+        server, model = None, caps.model or ""
         if self.local is not None:
             # Requests of a menu are short; a longer context costs memory.
-            server = LocalServer(self.local, context=8192 if proposals == "menu" else 0)
+            server = LocalServer(self.local, context=8192 if self.proposals == "menu" else 0)
             model = model or self.local.stem
         return LlmAgent(
             LlmSettings(
                 model=model,
                 base_url=self.base_url if server is None else server.url,
-                temperature=self.temperature,
-                top_p=self.top_p,
                 seed=0 if self.llm_seed is None and server is not None else self.llm_seed,
                 extra_body=extra_body,
-                api_key_env=self.api_key_env,
                 max_tokens_total=caps.max_tokens,
                 max_cost=caps.max_cost,
                 price_input=price_input,
                 price_output=price_output,
-                max_reply_tokens=self.max_reply_tokens or LlmSettings.max_reply_tokens,
-                anonymous=self.anonymous,
-                proposals=proposals,
                 local={} if server is None else server.facts,
+                **{one.name: getattr(self, one.name) for one in fields(RequestSettings)},
             ),
             server=server,
         )
@@ -279,19 +247,31 @@ class EngineOptions:
     """Options of a command that evaluates many candidates."""
 
     parallel: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            help="Experiments at a time: each is proposed before the last N - 1 have results.",
-        ),
+        int, Ge(1), "Experiments at a time: each is proposed before the last N - 1 have results."
     ] = 1
     executor: Annotated[
         str,
-        typer.Option(
-            help="Where folds are fitted: local, local:N (N jobs), dask://HOST:PORT, dask:FILE, "
-            "dask-slurm:FILE."
-        ),
+        "Where folds are fitted: local, local:N (N jobs), dask://HOST:PORT, dask:FILE, "
+        "dask-slurm:FILE.",
     ] = "local"
+
+
+# Commands and options of plug-ins.
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of a plug-in among the main commands of ASIA."""
+
+    run: Callable[..., None] | typer.Typer
+    after: str
+    """Command that it follows in `asia --help`."""
+
+
+AddedOptions = Callable[..., None]
+"""Function of a plug-in with options of a command of ASIA. It receives a function without arguments
+that runs the command, the values of the command's own parameters by name, and its options by
+keyword."""
 
 
 # Groups of options as dataclasses, one field per option; short and full help.
@@ -302,37 +282,54 @@ def with_groups(
     brief_help: Collection[str] | None = None,
     *,
     prints_progress: Callable[[], bool] = lambda: False,
+    added: Sequence[AddedOptions] = (),
 ) -> Callable[..., None]:
     """Return the command for typer. Each parameter annotated with a dataclass is replaced by the
-    fields of that dataclass, which keep their annotations and defaults. The option `--help-all`
-    shows the options that `--help` hides.
+    annotated fields of that dataclass with their defaults. The annotation is an option of typer, or
+    the text of the option and its limits. The option `--help-all` shows the options that `--help`
+    hides.
 
     brief_help: parameters that `--help` shows; None: all that are not declared hidden.
-    prints_progress: whether the command does so by itself."""
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    prints_progress: whether the command does so by itself.
+    added: functions of plug-ins that add options."""
+    groups: dict[str, Any] = {
+        name: hint for name, hint, _ in _parameters(command) if is_dataclass(hint)
+    }
+    # Name, annotation and default of each option.
+    own = [(one, [*_parameters(one)][2:]) for one in added]
 
     @wraps(command)
     def called(**given: Any) -> None:
         for name, group in groups.items():
-            given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
+            values = {f.name: given.pop(f.name) for f in fields(group) if f.name in given}
+            given[name] = group(**values)
         given.pop("help_all")
+        outer = [partial(one, **{name: given.pop(name) for name, *_ in p}) for one, p in own]
+        do: Callable[[], None] = partial(command, **given)
+        for one in outer:
+            do = partial(one, do, given)
         if prints_progress():
-            command(**given)
+            do()
             return
         with reported(command.__name__.strip("_"), lambda line: say(line, file=sys.stderr)):
-            command(**given)
+            do()
 
-    # Name, annotation and default of each option.
+    called.__doc__ = "\n\n".join(inspect.getdoc(one) or "" for one in (command, *added)).strip()
+
     shown: list[tuple[str, Any, Any]] = []
-    for name, parameter in inspect.signature(command).parameters.items():
+    for name, annotation, default in _parameters(command):
         if name not in groups:
-            shown.append((name, hints[name], parameter.default))
+            shown.append((name, annotation, default))
             continue
-        own = get_type_hints(groups[name], include_extras=True)
+        hints = get_type_hints(groups[name], include_extras=True)
         for field in fields(groups[name]):
-            default = inspect.Parameter.empty if field.default is MISSING else field.default
-            shown.append((field.name, own[field.name], default))
+            if get_origin(hints[field.name]) is Annotated:
+                default = inspect.Parameter.empty if field.default is MISSING else field.default
+                if field.default_factory is not MISSING:
+                    default = field.default_factory()
+                option = _with_option(field.name, hints[field.name], groups[name])
+                shown.append((field.name, option, default))
+    shown += [parameter for _, parameters in own for parameter in parameters]
 
     some_hidden = False
     for place, (name, annotation, default) in enumerate(shown):
@@ -369,6 +366,30 @@ def with_groups(
     called.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportAttributeAccessIssue]
     called.__annotations__ = {p.name: p.annotation for p in parameters}
     return called
+
+
+def _with_option(name: str, annotation: Any, group: Any) -> Any:
+    """Return the annotation with the option that its text and limits describe, if it has a text.
+    `panel` of the group is the title above it in the help."""
+    kind, *notes = get_args(annotation)
+    text = next((note for note in notes if isinstance(note, str)), None)
+    if text is None:
+        return annotation
+    limits: dict[str, Any] = {
+        "min": next((note.ge for note in notes if isinstance(note, Ge)), None),
+        "max": next((note.le for note in notes if isinstance(note, Le)), None),
+    }
+    # A switch that is off has no option that keeps it off.
+    names = (f"--{name.replace('_', '-')}",) if kind is bool else ()
+    panel = getattr(group, "panel", None)
+    return Annotated[kind, typer.Option(*names, help=text, rich_help_panel=panel, **limits)]
+
+
+def _parameters(function: Callable[..., None]) -> list[tuple[str, Any, Any]]:
+    """Name, annotation (None without one) and default of each parameter."""
+    hints = get_type_hints(function, include_extras=True)
+    known = inspect.signature(function).parameters.values()
+    return [(one.name, hints.get(one.name), one.default) for one in known]
 
 
 def given(group: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:
@@ -545,43 +566,11 @@ class RunOptions:
 # Options of a search: budget, name, isolation.
 
 
-@dataclass(frozen=True)
-class SearchOptions:
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions(SearchSettings):
     """Options of every command that starts a search."""
 
-    experiments: Annotated[
-        int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
-    ] = None
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0
-    hours: Annotated[
-        float | None, typer.Option(help="Start no experiment after this many hours of evaluation.")
-    ] = None
-    retests: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="Repeat fits required before accepting a new best; 0: one fit decides. Default: "
-            "the problem's.",
-        ),
-    ] = None
-    name: Annotated[
-        str | None, typer.Option(help="Name of the run; default PROBLEM-AGENT-sSEED.")
-    ] = None
-    early_stopping: Annotated[
-        str | None,
-        typer.Option(help="inner, or validation (V is then not leak-free); default the problem's."),
-    ] = None
-    isolation: Annotated[
-        str | None,
-        typer.Option(help="Isolation level instead of the strongest: landlock or process."),
-    ] = None
-    isolation_strict: Annotated[
-        bool,
-        typer.Option(
-            "--isolation-strict",
-            help="Fit the folds one at a time: slower, but workers cannot communicate.",
-        ),
-    ] = False
+    name: Annotated[str | None, "Name of the run; default PROBLEM-AGENT-sSEED."] = None
 
     @property
     def level(self) -> Isolation | None:
@@ -597,17 +586,6 @@ class SearchOptions:
         if name is not None and not RUN_NAME.fullmatch(name):
             raise UserError(f"--name '{name}': {RUN_NAME_RULE}")
         _ = self.level
-
-    def applied(self, problem: Problem) -> Problem:
-        """Return the problem with these options in place of its own."""
-        from asia.search.run import with_early_stopping
-
-        own = {name: getattr(self, name) for name in ("experiments", "hours", "retests")}
-        own = {name: value for name, value in own.items() if value is not None}
-        problem = replace(problem, budget=replace(problem.budget, **own))
-        if self.early_stopping is None:
-            return problem
-        return with_early_stopping(problem, self.early_stopping)
 
     def request(self, problem: str, agent: str) -> SearchRequest:
         """Return the request for a search by `agent`. Raises UserError as `check` does."""

@@ -15,10 +15,10 @@ from rich.segment import Segment
 from asia._text import folded, printable
 from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
 from asia.agents.expert_result import expert_result, expert_text
+from asia.analysis.verdict import alarms, unguarded, usability
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
 from asia.ledger.run import model_to_use
-from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.experiments import (
     method_note,

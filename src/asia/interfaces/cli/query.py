@@ -122,10 +122,10 @@ def _confine(database: sqlite3.Connection) -> list[str]:
 
 def _fill(database: sqlite3.Connection, runs: Path) -> None:
     """Copy the runs of a folder; name on stderr those that cannot be read."""
-    from asia.agents.library.recipe import read_recipe
     from asia.ledger.events import Noted
     from asia.ledger.run import Run, open_run
     from asia.presentation.experiments import decision_text
+    from asia.recipe import read_recipe
 
     opened: dict[str, Run] = {}
     database.executescript(_TABLES)

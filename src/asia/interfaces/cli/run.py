@@ -19,6 +19,7 @@ from asia._diagnostic import diagnostic
 from asia._progress import now_doing
 from asia._text import printable_line, say
 from asia._timer import Activity, ActivityTimer, TimeSpent, duration
+from asia.analysis.verdict import alarms, unguarded
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
@@ -59,7 +60,6 @@ from asia.ledger.events import (
 )
 from asia.ledger.evidence import identified, incumbent_threshold
 from asia.ledger.run import open_run
-from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import SearchView
 from asia.presentation.experiments import (
     NOT_LEAK_FREE,

@@ -9,7 +9,6 @@ import typer
 from rich.text import Text
 
 from asia._text import hand_over, printable, printable_line, say
-from asia.agents.library.recipe import MODELS, read_recipe
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs, run_directory
 from asia.interfaces.cli.output import Terminal, print_alarms, verdict_facts, verdict_object
@@ -33,6 +32,7 @@ from asia.presentation.experiments import (
 from asia.presentation.parameters import identified_blocks, identified_object
 from asia.presentation.results import confirmation_blocks, second_fit_text
 from asia.presentation.table import block_lines
+from asia.recipe import MODELS, read_recipe
 
 
 def show(

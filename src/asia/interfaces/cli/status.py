@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from asia._text import say
 from asia._timer import duration
 from asia.agents.expert_result import expert_result
+from asia.analysis.verdict import alarms, unguarded
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Profile, RunName, Runs, run_directory
 from asia.interfaces.cli.output import (
     experiment_line,
@@ -26,10 +27,7 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.looks import seal_words
 from asia.ledger.run import error_of, metric_of, model_to_use, open_run
-from asia.ledger.verdict import alarms, unguarded
-from asia.presentation.experiments import (
-    references_table,
-)
+from asia.presentation.experiments import references_table
 from asia.problem.metrics import metric_label
 from asia.search.steering import running_losses
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asia._text import say
+from asia.analysis.verdict import alarms
 from asia.errors import InternalError, UserError
 from asia.interfaces.cli.options import Keys, RunName, RunOptions, YesProcess
 from asia.interfaces.cli.output import fact_line, print_alarms, verdict_facts
@@ -17,7 +18,6 @@ from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.looks import later_words
 from asia.ledger.run import Run, model_to_use, open_run, tested_model
-from asia.ledger.verdict import alarms
 from asia.ledger.view import SearchView
 from asia.presentation.experiments import v_notes
 from asia.presentation.results import sealed_test_blocks

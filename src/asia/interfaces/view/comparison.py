@@ -10,7 +10,6 @@ from urllib.parse import urlencode
 from markupsafe import Markup
 
 from asia._timer import duration
-from asia.agents.library.recipe import read_recipe
 from asia.errors import UserError
 from asia.interfaces.view.followed import Snapshot
 from asia.interfaces.view.pages import zoomable
@@ -20,12 +19,12 @@ from asia.ledger.view import Experiment
 from asia.presentation.experiments import error_decimals_of
 from asia.presentation.table import error_value
 from asia.problem.problem import Problem
-from asia.report.comparison import ArmCurves, ArmsPicture, Curve
+from asia.recipe import read_recipe
 from asia.report.page.render import picture
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of
 from asia.report.page.sections.verdict import draw_panel, stamp, tested_figure
 from asia.report.page.subject import Subject
-from asia.report.pictures.progress import draw_arms
+from asia.report.pictures.progress import draw_comparison
 from asia.report.pictures.simulation import Panel, simulation_panels
 
 _MOST_CHOICES = 40
@@ -98,19 +97,15 @@ def comparison_part(compared: Sequence[Compared]) -> Markup:
         warning = "V was computed under different rules in the runs: do not compare it."
     curves = None
     if len(subjects) > 1:
-        sides = tuple(
-            ArmCurves(one.run.name, (Curve(tuple(e.value for e in one.view.finished)),))
-            for one in subjects
-        )
-        title = "Best V so far over the experiments"
-        arms = ArmsPicture("best", title, sides, (), subjects[0].run.metric)
-        curves = picture(partial(draw_arms, arms), title)
+        found = {one.run.name: [[e.value for e in one.view.finished]] for one in subjects}
+        title, metric = "Best V so far over the experiments", subjects[0].run.metric
+        curves = picture(partial(draw_comparison, found, {}, metric, title), title)
     chosen = [(one, e) for one in compared for e in one.experiments]
+    names = [*COSTS, *dict.fromkeys(name for one in subjects for name in one.costs)]
     costs = [
-        [cost_of(one.subject, e, k) if e.result else None for k in range(len(COSTS))]
-        for one, e in chosen
+        [cost_of(one.subject, e, name) if e.result else None for name in names] for one, e in chosen
     ]
-    known = [k for k in range(len(COSTS)) if any(row[k] for row in costs)]
+    known = [k for k in range(len(names)) if any(row[k] for row in costs)]
     settings = _settings(chosen)
     return fill(
         "comparison.html",
@@ -131,7 +126,7 @@ def comparison_part(compared: Sequence[Compared]) -> Markup:
             )
             for (one, e), row in zip(chosen, costs, strict=True)
         ],
-        costs=[COSTS[k] for k in known],
+        costs=[names[k] for k in known],
         decimals=error_decimals_of([e for _, e in chosen]),
         settings=settings,
         common=sum(is_same for _, _, is_same in settings),

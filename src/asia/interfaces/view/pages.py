@@ -19,27 +19,21 @@ import numpy as np
 from markupsafe import Markup
 
 from asia._text import one_line, printable_line
-from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.registry import reads_notes
 from asia.analysis.importance import LEAST_EXPERIMENTS, settings_importance
+from asia.analysis.verdict import alarms, unguarded
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.interfaces.view.render import experiments_of, fill, run_address
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.verdict import alarms, unguarded
 from asia.ledger.view import Experiment
 from asia.presentation.evidence import evidence_lines
 from asia.presentation.experiments import decision_text, describe_result
 from asia.presentation.table import error_value
+from asia.recipe import Recipe, read_recipe
 from asia.report.page.render import picture
-from asia.report.page.sections import SECTIONS
-from asia.report.page.sections.evidence import (
-    CERTIFICATE_FILE,
-    CONTROL_FILE,
-    LINEAR_FILE,
-    LOOP_CERTIFICATE_FILE,
-)
+from asia.report.page.sections import page_sections
 from asia.report.page.sections.experiments import experiment_story, progress_figure, status_of
 from asia.report.page.sections.verdict import draw_panel
 from asia.report.page.subject import Detail, Subject
@@ -318,12 +312,6 @@ def experiment_rows(
 
 # These are written here, so that they can change line by line.
 _OWN: Final = ("progress", "experiments")
-TABS: Final = {
-    "linear": (LINEAR_FILE,),
-    "control": (CONTROL_FILE,),
-    "certificate": (CERTIFICATE_FILE, LOOP_CERTIFICATE_FILE),
-}
-"""Keys of the sections that have a page of their own, with the files that the run has for them."""
 GALLERY: Final = "simulations"
 """Key of the page with the simulations of all experiments."""
 
@@ -331,16 +319,15 @@ GALLERY: Final = "simulations"
 def tabs(snapshot: Snapshot, here: str = "") -> Markup:
     """Links to the pages of a run."""
     found = {"": "Search", GALLERY: "Simulations"}
-    for one in SECTIONS:
-        files = TABS.get(one.key, ())
-        if any((snapshot.run.directory / file).exists() for file in files):
+    for one in page_sections():
+        if any((snapshot.run.directory / file).exists() for file in one.files):
             found[one.key] = one.title
     return fill("tabs.html", tabs=found, here=here, name=snapshot.run.name)
 
 
 def tab_page(snapshot: Snapshot, key: str, token: str) -> str:
     """The page of a tab. Raises UserError where the run has nothing for it."""
-    found = next((one for one in SECTIONS if one.key == key and key in TABS), None)
+    found = next((one for one in page_sections() if one.key == key and one.files), None)
     inner = None if found is None else found.write(snapshot.subject)
     name = snapshot.run.name
     if found is None or inner is None:
@@ -360,8 +347,10 @@ def tab_page(snapshot: Snapshot, key: str, token: str) -> str:
 def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     """The page of a run, with the chosen experiments."""
     subject, name = snapshot.subject, snapshot.run.name
-    own = [(one.key, one.title) for key in _OWN for one in SECTIONS if one.key == key]
-    others = [(one.key, one.title) for one in SECTIONS if one.key not in (*_OWN, *TABS)]
+    own = [(one.key, one.title) for key in _OWN for one in page_sections() if one.key == key]
+    others = [
+        (one.key, one.title) for one in page_sections() if one.key not in _OWN and not one.files
+    ]
     place = [key for key, _ in others].index("tradeoff") + 1
     others[place:place] = [(key, title) for key, (title, _) in _LIVE.items()]
     start = subject.view.started
@@ -421,10 +410,10 @@ def section_part(snapshot: Snapshot, key: str) -> Markup | None:
     """Write the content of a section; None if the run has nothing for it, or there is no such
     section.
     """
-    others = (*_OWN, *TABS)
+    others = [one for one in page_sections() if one.key not in _OWN and not one.files]
     if key in _LIVE:
         return _LIVE[key][1](snapshot)
-    found = next((one for one in SECTIONS if one.key == key and key not in others), None)
+    found = next((one for one in others if one.key == key), None)
     link = experiments_of(snapshot.run.name)
     return None if found is None else found.write(snapshot.subject, link)
 

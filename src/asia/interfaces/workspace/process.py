@@ -36,8 +36,8 @@ from asia.search.run import (
     prepare,
     run_name,
     search,
-    with_early_stopping,
 )
+from asia.search.settings import SearchSettings
 
 # The process behind a desk: what it was asked for, and how it is started.
 
@@ -50,28 +50,14 @@ _VARIABLES = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class SearchRequest:
+@dataclass(frozen=True, kw_only=True)
+class SearchRequest(SearchSettings):
     """Arguments of a search that empties a queue; kept in its run directory."""
 
     problem: str
     """Built-in name or path of the problem."""
     agent: str
     """Interface that submits candidates: `workspace` or `mcp`."""
-    seed: int
-    """Seed of the search."""
-    experiments: int | None
-    """Candidates to evaluate; None for the problem's number."""
-    hours: float | None
-    """Hours of evaluation; None for the problem's number."""
-    early_stopping: str | None
-    """RunSettings in place of the problem's own."""
-    isolation: str | None
-    """Level asked for; None for the strongest that works."""
-    isolation_strict: bool = False
-    """True to fit the folds of a candidate sequentially."""
-    retests: int | None = None
-    """Fits from other seeds of a candidate about to be kept; None for the problem's number."""
     records: int = 0
     """Lines that the ledger had when this was asked for."""
     settings: dict[str, str] = field(default_factory=dict[str, str])
@@ -382,20 +368,9 @@ def guard_words(problem: Problem, request: SearchRequest) -> str:
 
 def requested_problem(request: SearchRequest) -> Problem:
     """The problem with what was requested in place of its own."""
-    problem = load_problem(request.problem, request.guard)
-    budget = problem.budget
-    budget = replace(
-        budget,
-        experiments=request.experiments or budget.experiments,
-        hours=request.hours if request.hours is not None else budget.hours,
-        retests=request.retests if request.retests is not None else budget.retests,
-        # The submitting user decides when to stop. The lock file has it, so it never changes.
-        patience=1_000_000,
-    )
-    problem = replace(problem, budget=budget)
-    if request.early_stopping is not None:
-        problem = with_early_stopping(problem, request.early_stopping)
-    return problem
+    problem = request.applied(load_problem(request.problem, request.guard))
+    # The submitting user decides when to stop. The lock file has it, so it never changes.
+    return replace(problem, budget=replace(problem.budget, patience=1_000_000))
 
 
 def prepare_request(request: SearchRequest, runs: Path, name: str | None) -> Prepared:

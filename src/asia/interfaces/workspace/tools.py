@@ -21,7 +21,6 @@ import numpy as np
 from asia._files import read_text
 from asia._text import say, suggestion
 from asia.agents.library.pages import config_of, method_of, options_of
-from asia.agents.library.recipe import MODELS
 from asia.candidate import (
     VALIDATION_SCORES,
     Context,
@@ -44,7 +43,7 @@ from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.validation_score import rounded_score
 from asia.judge.sandbox.layers.environment import COMPILED_ONCE, REPEATABLE
 from asia.judge.sandbox.worker.prefixes import by_prefixes
-from asia.judge.scoring.outcome import FoldScore, check_reply, combine, score_fold, without_gaps
+from asia.judge.scoring.outcome import FoldScore, check_reply, combine, score_fold
 from asia.judge.scoring.residuals import (
     Evidence,
     SignedResidual,
@@ -59,6 +58,7 @@ from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
+from asia.recipe import MODELS
 from asia.report.files import draw_cases
 from asia.search.agent_views import digest
 
@@ -107,7 +107,7 @@ class LocalFold:
         blocks = self.fold.held_out if held_out else self.training
         y_hat = self.y_hat if held_out else self.training_y_hat
         u = [b.u for b in blocks]
-        y = [without_gaps(b.y, found) for b, found in zip(blocks, y_hat, strict=True)]
+        y = [b.simulated(found).complete_y for b, found in zip(blocks, y_hat, strict=True)]
         return signed_residuals(u, y, y_hat, self.fold.scale)
 
 
@@ -308,7 +308,7 @@ def tables(
     yield f"correlation of the residuals, {where} part, all folds together, 99 % bands"
     blocks = [b for one in folds for b in (one.fold.held_out if held_out else one.training)]
     y_hat = [y for one in folds for y in (one.y_hat if held_out else one.training_y_hat)]
-    errors = [without_gaps(b.y, y) - y for b, y in zip(blocks, y_hat, strict=True)]
+    errors = [b.simulated(y).residual for b, y in zip(blocks, y_hat, strict=True)]
     for k, output in enumerate(problem.outputs):
         text = _correlations(problem, blocks, [e[:, k] for e in errors])
         yield f"  {output.name}: {text}"

@@ -197,7 +197,7 @@ def prepare_control(problem: Problem, isolation: Isolation) -> Problem:
     if control is None:
         return problem
     _cost_of_held_inputs(problem, isolation)
-    base = replace(control.base, plant=None)
+    base = control.base
     source = LINEAR if base.physics is None else _GREYBOX
     context = search_context(base, derive_seed(0, "identification"))
     models: list[bytes] = []

@@ -18,7 +18,6 @@ from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, filled, is_constant, spread_of
 from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.residual import explained
-from asia.judge.scoring.outcome import without_gaps
 from asia.lowering.linear import LinearModel
 from asia.models.methods import LevenbergMarquardt
 from asia.problem.folds import whole
@@ -72,7 +71,7 @@ def windows(
     only the first window of each block, which starts as the evaluator's simulation does."""
     cut: list[tuple[Array, ...]] = []
     for block, simulated in zip(blocks, y_hat, strict=True):
-        y = without_gaps(block.y, simulated)
+        y = block.simulated(simulated).complete_y
         u, all_y = np.concatenate([block.past_u, block.u]), np.concatenate([block.past_y, y])
         nu, ny = len(block.past_u), len(block.past_y)
         early = np.concatenate([np.repeat(u[:1], _DELAYS[-1], 0), u])

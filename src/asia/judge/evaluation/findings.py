@@ -13,7 +13,7 @@ from asia.data.trajectory import Array
 from asia.judge.evaluation.artifacts import ArtifactStore
 from asia.judge.evaluation.results import FoldFindings, FoldRecord, StepErrors, put_findings
 from asia.judge.evaluation.training_checks import TrainingCheck, training_checks
-from asia.judge.scoring.outcome import FoldScore, score_fold, without_gaps
+from asia.judge.scoring.outcome import FoldScore, score_fold
 from asia.judge.scoring.residuals import (
     Diagnostics,
     Ranges,
@@ -82,7 +82,9 @@ def record_fold(
     score = score_fold(y, fitted.y_hat, fold.scale, rule.metric)
     train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
     inputs = [b.u for b in inside]
-    whole_y = [without_gaps(a, b) for a, b in zip(train_y, fitted.train_y_hat, strict=True)]
+    whole_y = [
+        b.simulated(one).complete_y for b, one in zip(inside, fitted.train_y_hat, strict=True)
+    ]
     failed: list[str] = []
     evidence = Diagnostics(train.value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     signed: tuple[SignedResidual, ...] = ()
@@ -136,7 +138,7 @@ def _held_out_residuals(
     if rule.residuals == "train":
         return ()
     u = [b.u for b in fold.held_out]
-    y = [without_gaps(b.y, one) for b, one in zip(fold.held_out, fitted.y_hat, strict=True)]
+    y = [b.simulated(one).complete_y for b, one in zip(fold.held_out, fitted.y_hat, strict=True)]
     return signed_residuals(u, y, fitted.y_hat, fold.scale, ranges)[:_MOST_RESIDUALS]
 
 
@@ -184,11 +186,8 @@ def known_system(problem: Problem) -> KnownSystem:
 def search_context(problem: Problem, seed: int) -> Context:
     """Return the context of a search with this derived seed, without the fields that differ by
     fold."""
-    system = known_system(problem)
-    if problem.control is not None:
-        # The plant of a control problem, as for its identification.
-        plant = known_system(replace(problem.control.base, plant=None))
-        system = replace(plant, control=system.control)
-        problem = problem.control.base
-    kept = problem.preprocess
+    # Of a control problem: signals and equations of its plant, and the task.
+    system = known_system(problem.identification)
+    system = replace(system, control=known_system(problem).control)
+    kept = problem.identification.preprocess
     return Context(**system.known(), detrend=kept.detrend, scale=kept.scale, seed=seed)

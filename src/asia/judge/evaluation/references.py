@@ -50,8 +50,8 @@ def design(models, context):
 
 import numpy as np
 
-from asia.analysis.control import Specification, Transfer, sampled
-from asia.analysis.control import design as optimised
+from asia.control.design import Specification, Transfer, sampled
+from asia.control.design import design as optimised
 from asia.errors import UserError
 from asia.lowering.linear import continuous, reduced
 from asia.models import controllers

@@ -11,9 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from asia.data.trajectory import Array
+from asia.data.trajectory import Array, filled
 from asia.judge.scoring.bands import independent_errors
-from asia.judge.scoring.outcome import without_gaps
 from asia.judge.scoring.repeated_fits import (
     BLOCKS,
     Interval,
@@ -93,7 +92,7 @@ class ComparedParts:
         """How much the squared error fell, (H,) of each block."""
         squares = [
             [
-                np.sum(((without_gaps(a, b) - b) / self.scale) ** 2, axis=1)
+                np.sum((filled(a - b) / self.scale) ** 2, axis=1)
                 for a, b in zip(self.y, each, strict=True)
             ]
             for each in (self.before, self.after)

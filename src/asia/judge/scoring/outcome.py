@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from asia.data.trajectory import Array, filled
+from asia.data.trajectory import Array
 from asia.errors import CandidateError, InternalError, Reason, UserError
 from asia.problem.metrics import METRICS, by_measured, find_metric, mean_of_known
 
@@ -30,12 +30,6 @@ def _energy_ratio(y: Array, y_hat: Array) -> Array:
     spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
     with np.errstate(over="ignore"):
         return np.sum((y - y_hat) ** 2, axis=0) / np.where(spread > 0, spread, np.nan)
-
-
-def without_gaps(y: Array, y_hat: Array) -> Array:
-    """y (H, ny) of a block with NaN -> with the error `y - y_hat` on straight lines between the
-    measured samples, for an analysis that needs every sample. No score is made from it."""
-    return y_hat + filled(y - y_hat) if np.isnan(y).any() else y
 
 
 def pooled(parts: Sequence[Array]) -> Array:
@@ -177,6 +171,44 @@ def score_parts(
 def combine(folds: Sequence[FoldScore]) -> Score:
     """V over the folds."""
     return Score(float(np.mean([f.value for f in folds])), tuple(folds))
+
+
+USABLE_SHARE = 0.5
+"""Least share of the variance of an output that a usable model explains."""
+
+
+def explained_variance(score: Score, stack: Sequence[float] = ()) -> Array:
+    """Return the share (K, ny) of the variance of each output in each fold, about its own mean
+    there, that a model explains. NaN where the fold cannot tell: its output moves less than the
+    model errs in the other folds.
+
+    Args:
+        score: score of the model, or of the best member of a stack.
+        stack: value of each fold for a stack; () for a single model.
+    """
+    folds = score.folds
+    share = np.array([[np.nan if r is None else r for r in fold.r2] for fold in folds])
+    error = np.array([fold.rmse for fold in folds]) ** 2
+    if stack:
+        own = np.array([fold.value for fold in folds])
+        ratio = (np.array(stack) / np.where(own > 0.0, own, 1.0)) ** 2
+        share, error = 1.0 - (1.0 - share) * ratio[:, None], error * ratio[:, None]
+    variance = error / np.where(share < 1.0, 1.0 - share, np.nan)
+    others = (error.sum(axis=0) - error) / max(len(folds) - 1, 1)
+    silent = (variance < others) & (share < USABLE_SHARE)
+    # A model that is worse than the mean in all folds together is judged in each.
+    total = np.nansum(error, axis=0) >= np.nansum(variance, axis=0)
+    return np.where(silent & ~total, np.nan, share)
+
+
+def folds_below(share: Array, level: float) -> list[int]:
+    """Return the numbers of the folds (1-based) whose mean share over the outputs is at most the
+    level. share: (K, ny)."""
+    return [
+        k + 1
+        for k, row in enumerate(share)
+        if not np.isnan(row).all() and float(np.nanmean(row)) <= level
+    ]
 
 
 def score_test(y: Sequence[Array], y_hat: Sequence[Array], metric: str, skip: int = 0) -> TestScore:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
-from asia.models._arrays import AnyArray, complex_number, namespace, scan, sigmoid, split
+from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import owner
 from asia.models._numerics.scaling import Scaling
 
@@ -162,12 +162,9 @@ def trace(cell: Cell | FeatureMap, params: Any, window: AnyArray, u: AnyArray) -
     return scan(step, start, u.swapaxes(0, 1))[1].swapaxes(0, 1)
 
 
-# Common parts of networks: initial weights, dense stacks, output layer, gates, linear systems.
+# Common parts of networks: initial weights, dense stacks, output layer.
 
 Float32 = NDArray[np.float32]
-
-# A pole nearer to the unit circle is rounded onto it.
-_SLOWEST_RATE = 1e-6
 
 
 def cast_tree(tree: Any, dtype: type[np.floating[Any]]) -> Any:
@@ -231,12 +228,6 @@ def normalised(x: AnyArray, gain: AnyArray) -> AnyArray:
     return gain * x / namespace(x).sqrt((x * x).mean(axis=-1, keepdims=True) + 1e-6)
 
 
-def gated(x: AnyArray, w: AnyArray, b: AnyArray) -> AnyArray:
-    """Gated linear unit, w (channels, 2 * out): Dauphin et al., ICML 2017."""
-    value, gate = split(x @ w + b, 2)
-    return value * sigmoid(gate)
-
-
 def decaying(start: AnyArray, log_tau: AnyArray, samples: int) -> AnyArray:
     """Decay start (B, n) -> (B, samples, n): start * exp(-(k + 1) / tau), tau (n,) in samples."""
     xp, time = namespace(start, log_tau), np.arange(1, samples + 1, dtype=start.dtype)
@@ -246,37 +237,6 @@ def decaying(start: AnyArray, log_tau: AnyArray, samples: int) -> AnyArray:
 def log_spaced(first: float, last: float, count: int) -> Float32:
     """Logarithms of `count` time constants spread from first to last."""
     return np.linspace(np.log(first), np.log(last), count).astype(np.float32)
-
-
-def poles(log_rate: AnyArray, angle: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Poles exp(-rate + i angle), and input gains for states of unit variance.
-
-    The poles lie inside the unit circle whatever the parameters; white noise of unit variance gives
-    states of unit variance, however slow the pole.
-    """
-    xp = namespace(log_rate, angle)
-    rate = xp.exp(log_rate) + _SLOWEST_RATE
-    return xp.exp(complex_number(-rate, angle)), xp.sqrt(-xp.expm1(-2 * rate))
-
-
-def rotated_pole(
-    pole: AnyArray, real: AnyArray, imaginary: AnyArray, drive: tuple[AnyArray, AnyArray]
-) -> tuple[AnyArray, AnyArray]:
-    """Advance `diagonal_states` by one sample in real numbers: real and imaginary parts."""
-    a, b = pole.real, pole.imag
-    return a * real - b * imaginary + drive[0], a * imaginary + b * real + drive[1]
-
-
-def diagonal_states(pole: AnyArray, drive: AnyArray, start: AnyArray) -> AnyArray:
-    """Solve x[k] = pole x[k-1] + drive[k], x[-1] = start, all complex: pole (n,), drive (B, T, n),
-    start (B, n) -> (B, T, n)."""
-    # An associative scan is no faster on a processor and takes eight times as long to compile.
-
-    def step(x: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray]:
-        x = pole * x + v
-        return x, x
-
-    return scan(step, start, drive.swapaxes(0, 1))[1].swapaxes(0, 1)
 
 
 # Elementwise functions of the physical inputs, offered to a network in addition to the inputs.

@@ -1,16 +1,15 @@
-"""Lagged signals: regressors of input-output models, and their simulation in free run."""
+"""Lagged signals: regressors of input-output models, and the lags before a simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array
-from asia.models._arrays import AnyArray, bounded, namespace, scan
+from asia.models._arrays import AnyArray, namespace
 from asia.models._numerics.encoder import Encoder, fit_encoder
 from asia.models._numerics.training_records import (
     ScaledData,
@@ -166,47 +165,3 @@ class OutputRange:
         y = np.concatenate([r.y for r in records])
         low, high = y.min(axis=0), y.max(axis=0)
         return cls(low - margin * (high - low), high + margin * (high - low))
-
-
-class OneStep(Protocol):
-    """Prediction of the next output from the regressors."""
-
-    def __call__(self, z: AnyArray) -> AnyArray:
-        """Predict (B, d) -> (B, ny)."""
-        ...
-
-
-@dataclass(frozen=True)
-class FreeRun:
-    """One-step model simulated on its own outputs, clipped to the limits; a `ScaledSimulator`."""
-
-    one_step: OneStep
-    history: History
-    limits: OutputRange
-
-    def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> (B, H,
-        ny)."""
-        old_u, past = self.initial(past_u, past_y, u[:, 0])
-        drive = lagged_inputs(np.concatenate([old_u, u], axis=1), self.history.lags)
-        return scan(self._advanced, past, drive.swapaxes(0, 1))[1].swapaxes(0, 1)
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Lagged inputs (B, past_inputs, nu), the oldest first, and lagged outputs (B, outputs *
-        ny), the newest first, before the first input u (B, nu)."""
-        old_u, old_y = self.history(past_u, past_y, u[:, None])
-        return old_u, old_y[:, ::-1].reshape(len(u), -1)
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance the lags by a sample with the input u (B, nu); its output is (B, ny)."""
-        old_u, past = state
-        known = namespace(old_u, u).concatenate([old_u, u[:, None]], axis=1)
-        past, y = self._advanced(past, lagged_inputs(known, self.history.lags)[:, 0])
-        return (known[:, 1:], past), y
-
-    def _advanced(self, past: AnyArray, drive: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Lagged outputs after a sample with lagged inputs (B, inputs * nu), and its output."""
-        xp = namespace(past, drive)
-        y = self.one_step(xp.concatenate([past, drive], axis=1))
-        y = bounded(y, self.limits.low, self.limits.high)
-        return xp.concatenate([y, past], axis=1)[:, : past.shape[1]], y

@@ -15,7 +15,7 @@ from asia.ledger.chain import write_whole
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_lock
 from asia.report.page.render import page_style, render
-from asia.report.page.sections import SECTIONS
+from asia.report.page.sections import page_sections
 from asia.report.page.subject import Detail, Section, Subject
 
 # Report page of a run, assembled from its sections.
@@ -47,11 +47,11 @@ def write_page(directory: Path) -> Path:
     return path
 
 
-def page_of(run: Run, sections: Sequence[Section] = SECTIONS) -> str:
+def page_of(run: Run, sections: Sequence[Section] | None = None) -> str:
     """The page. Raises as `write_page`."""
     problem = load_lock(run.directory / "problem.lock.toml") if run.store.kept else None
     for detail in DETAILS:
-        page = _whole(Subject(run, problem, detail), sections)
+        page = _whole(Subject(run, problem, detail), sections or page_sections())
         if len(page.encode("utf-8", "replace")) <= LIMIT:
             return page
     raise InternalError(f"report: the page has more than {LIMIT} bytes with least detail")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +27,7 @@ def _sentence(text: str, end: str = ".") -> str:
     return f"{line[:1].upper()}{line[1:].removesuffix('.')}{end}"
 
 
+@cache
 def environment(*folders: Path) -> Environment:
     """Return the templates of folders and those of the report. A text is escaped and loses its
     control characters; None is an empty text; a name that a template does not receive is an
@@ -50,12 +52,9 @@ def _finalized(value: Any) -> Any:
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
-_REPORT: Final = environment()
-
-
-def render(template: str, **values: Any) -> Markup:
-    """Fill a template of the report."""
-    return Markup(_REPORT.get_template(template).render(values))
+def render(template: str, *folders: Path, **values: Any) -> Markup:
+    """Fill a template of the report, or of other folders."""
+    return Markup(environment(*folders).get_template(template).render(values))
 
 
 def show(blocks: Iterable[Block]) -> Markup:

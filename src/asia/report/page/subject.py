@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
-from asia._files import read_file
+from asia._plugins import Part, parts_of
 from asia.errors import UserError
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Noted
@@ -22,8 +22,6 @@ from asia.presentation.table import Block, error_value
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
 from asia.report.page.render import render, show
-
-_NORM = "H-infinity norm"
 
 
 @dataclass(frozen=True)
@@ -111,31 +109,10 @@ class Subject:
         return tuple(sorted(order[:most], key=lambda e: e.number))
 
     @cached_property
-    def analysed(self) -> dict[str, dict[int, float]]:
-        """Largest proven H-infinity norm from the files of `asia certify`, and largest IAE from
-        those of `asia control`, by command and experiment. Files of other versions are left out."""
-        found: dict[str, dict[int, float]] = {"certificate": {}, "control": {}}
-        best = self.view.best
-        for path in sorted(self.run.directory.glob("certificate*.json")) + sorted(
-            self.run.directory.glob("control*/control.json")
-        ):
-            command = "control" if path.name == "control.json" else "certificate"
-            try:
-                content = json.loads(read_file(path, f"run asia {command} again"))
-                model = str(content["model"]).removeprefix("experiment ")
-                if command == "control":
-                    values = [float(one["iae"]) for one in content["responses"]]
-                else:
-                    statements = content["statements"]
-                    values = [float(s["bound"]) for s in statements if s["kind"] == _NORM]
-            except (ValueError, TypeError, LookupError, UserError):
-                continue
-            # The refit and the ensemble are the best experiment's; a stack is of several.
-            number = 0 if best is None or model == "stack" else best.number
-            number = int(model) if model.isdecimal() else number
-            if number and values and math.isfinite(max(values)):
-                found[command][number] = max(values)
-        return found
+    def costs(self) -> dict[str, Mapping[int, float]]:
+        """Costs of experiments that sections of plug-ins bring, by name, then by number."""
+        found = (one.cost for one in plugged_sections())
+        return {one.name: one.values(self) for one in found if one is not None}
 
     @cached_property
     def _decimals(self) -> int:
@@ -162,8 +139,18 @@ def result_of(experiment: Experiment) -> Evaluated:
 
 
 @dataclass(frozen=True)
+class Cost:
+    """Cost of an experiment that V is drawn against."""
+
+    name: str
+    values: Callable[[Subject], Mapping[int, float]]
+    """Function that returns the cost by number of the experiment, where it is known."""
+
+
+@dataclass(frozen=True)
 class Section:
-    """A part of the page: a function in `sections` and a line in its `__init__`."""
+    """A part of the page: a function in `sections`, a line in its `__init__`, and a template unless
+    it consists of blocks. A plug-in brings it by an entry point."""
 
     key: str
     """Its anchor."""
@@ -172,6 +159,16 @@ class Section:
     content: Callable[[Subject], dict[str, Any] | list[Block] | None]
     """Function that returns blocks, or what its template shows beside the subject; None if the run
     has nothing for it."""
+    template: str = ""
+    """Template of the report; default: `sections/KEY.html`."""
+    folder: Path | None = None
+    """Folder of a plug-in with its template."""
+    after: str | None = None
+    """Key of the section that one of a plug-in follows; default: the last one."""
+    files: tuple[Path, ...] = ()
+    """Files in the folder of a run: with one of them the section has a page of its own in the live
+    view."""
+    cost: Cost | None = None
 
     def write(self, subject: Subject, link: str = "#e") -> Markup | None:
         """Write it. link: address of an experiment without its number."""
@@ -180,4 +177,27 @@ class Section:
             return None
         if isinstance(found, list):
             return show(found)
-        return render(f"sections/{self.key}.html", subject=subject, link=link, **found)
+        template = self.template or f"sections/{self.key}.html"
+        folders = () if self.folder is None else (self.folder,)
+        return render(template, *folders, subject=subject, link=link, **found)
+
+
+@cache
+def plugged_sections() -> tuple[Section, ...]:
+    """Sections of plug-ins; the content of one that does not load is the reason."""
+    return tuple(map(_loaded, parts_of("asia.report_sections")))
+
+
+def _loaded(part: Part) -> Section:
+    try:
+        found = part.load()
+        if isinstance(found, Section):
+            return found
+        raise UserError(f"section {part.name} of package {part.package} is {found!r}")
+    except UserError as error:
+        reason = error
+
+        def content(subject: Subject) -> None:
+            raise reason
+
+        return Section(part.name, part.name, content)

@@ -10,7 +10,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from asia.data.trajectory import Array, Signal
 from asia.judge.scoring.checks.check import Check, CheckCurve, Verdict
-from asia.judge.scoring.outcome import without_gaps
 from asia.judge.scoring.residuals import Correlation, with_input, with_own_past
 from asia.ledger.events import Ablated
 from asia.ledger.evidence import DrawnCheck
@@ -74,7 +73,7 @@ def draw_ablation(found: Ablated, run: str, v_name: str) -> Figure:
     axes.set_ylim(0.3, len(bars) + 0.7)
     axes.set_xlabel(f"Decrease of {plain(v_name, 40)}")
     quiet_grid(axes)
-    entitle(figure, f"{plain(run, 40)}: contributions to the gain of #{found.winner:02d}")
+    entitle(figure, f"{plain(run, 40)}: contributions to the gain of #{found.best:02d}")
     return figure
 
 
@@ -191,9 +190,7 @@ def draw_residuals(
     outputs = fold_outputs(run.store, experiment.folds, folds)
     blocks = [b for fold in folds for b in fold.held_out]
     simulated = [y_hat for fold in outputs for y_hat in fold]
-    residual = [
-        without_gaps(b.y, y_hat) - y_hat for b, y_hat in zip(blocks, simulated, strict=True)
-    ]
+    residual = [b.simulated(one).residual for b, one in zip(blocks, simulated, strict=True)]
     chosen = lowest(worst_fits(experiment.score), _MOST_ROWS)
     inputs = problem.inputs[:_MOST_INPUTS]
     columns = 1 + len(inputs)

@@ -11,12 +11,10 @@ from asia.data.trajectory import Array, Signal
 from asia.report.drawing.style import (
     BLUE,
     INK,
-    ORANGE,
     QUIET,
     RED,
     SHADE,
     entitle,
-    panel_legend,
     picture_width,
     plain,
     quantity,
@@ -87,31 +85,16 @@ def _published(board: Board, index: int) -> list[float]:
 # Our test error among the published ones: box plot and histogram.
 
 
-def draw_standing(
-    entries: Sequence[Entry],
-    ours: float,
-    output: Signal,
-    run: str,
-    mark: tuple[str, float] | None = None,
-) -> Figure:
-    """Published test RMSE with our mark. ours: test RMSE in the unit of `output`; mark: another
-    one to point out, with its name."""
+def draw_standing(entries: Sequence[Entry], ours: float, output: Signal, run: str) -> Figure:
+    """Published test RMSE with our mark. ours: test RMSE in the unit of `output`."""
     values = np.array([e.test_rmse for e in entries])
     figure = Figure(figsize=(picture_width(), 3.1), layout="constrained")
     box, bars = figure.subplots(1, 2, width_ratios=(1.0, 2.1))
     label = f"Test RMSE [{plain(output.unit, 16)}]" if output.unit else "Test RMSE"
     _box(box, values, ours)
     box.set_ylabel(label)
-    if mark is not None:
-        box.plot([1.0], [mark[1]], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5, zorder=4)
-        bars.axvline(mark[1], color=ORANGE, lw=1.4, dashes=(1.5, 1.5))
-        text = f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}"
-        (point,) = bars.plot([mark[1]], [0.0], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5)
-        point.set(clip_on=False, zorder=4, label=text)
     _histogram(bars, values, ours, quantity(ours, output.unit))
     bars.set_xlabel(label)
-    if mark is not None:
-        panel_legend(bars, 4.0)
     lower, many = int((values < ours).sum()), len(values)
     entitle(figure, f"{plain(run, 40)}: {lower} of {many} published results have a lower test RMSE")
     first, last = min(e.year for e in entries), max(e.year for e in entries)

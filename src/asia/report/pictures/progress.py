@@ -1,7 +1,7 @@
 """Pictures of a search: V against experiments, of one search or several."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -15,9 +15,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 from matplotlib.transforms import blended_transform_factory
 
 from asia.agents.expert_result import ExpertResult
+from asia.data.trajectory import Array
 from asia.judge.scoring.outcome import Score
 from asia.ledger.view import SearchView
-from asia.report.comparison import ArmCurves, ArmsPicture
 from asia.report.drawing.places import Box, Tag, place
 from asia.report.drawing.style import (
     BLUE,
@@ -281,73 +281,88 @@ def _balanced(text: str, width: int) -> str:
     return "\n".join(next(lines for lines in wrapped if len(lines) <= len(wrapped[-1])))
 
 
-# Several searches on one problem: V against experiments, each side of the comparison a colour.
+# Several searches on one problem: V against experiments, each agent a colour.
 
 
 _COLOURS: Final = (BLUE, ORANGE, GREEN, QUIET)
 
+Curve = Sequence[float | None]
+"""V of each experiment of one search, in order; None without a score."""
 
-def draw_arms(picture: ArmsPicture) -> Figure:
-    """A point each experiment, best so far as a step line: thin for each seed, thick for their
-    median, between the lowest and the highest. Points far above are clipped to triangles on the
-    edge."""
-    sides = picture.sides
+
+def draw_comparison(
+    agents: Mapping[str, Sequence[Curve]], levels: Mapping[str, float], metric: str, title: str
+) -> Figure:
+    """A point each experiment, best so far as a step line: thin for each search of an agent, thick
+    for their median, between the lowest and the highest. Points far above are clipped to triangles
+    on the edge.
+
+    Args:
+        agents: searches of each agent, one for each seed.
+        levels: V of models to compare with, by name.
+        metric: `rmse` or `mae`.
+    """
     figure = Figure(figsize=(picture_width(), 4.2), layout="constrained")
     axes = figure.add_subplot()
-    length = max((len(c.values) for s in sides for c in s.curves), default=1)
-    steps = [c.best_so_far(length) for s in sides for c in s.curves]
-    values = np.concatenate([*steps, np.array([level.value for level in picture.levels])])
+    length = max((len(curve) for curves in agents.values() for curve in curves), default=1)
+    best = {
+        name: np.array([_best_so_far(curve, length) for curve in curves]).reshape(-1, length)
+        for name, curves in agents.items()
+    }
+    values = np.concatenate([*(found.ravel() for found in best.values()), [*levels.values()]])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
-    scale_experiments(axes, length, picture.metric)
+    scale_experiments(axes, length, metric)
     if high > _LOG_FROM * low > 0:
         log_values(axes, low, high)
     else:
         axes.set_ylim(0.0, high * 1.15)
     quiet_grid(axes)
-    for index, side in enumerate(sides):
-        shift = 0.12 * (index - (len(sides) - 1) / 2)
+    for index, (name, curves) in enumerate(agents.items()):
         line = _COLOURS[index % len(_COLOURS)], DASHES[index // len(_COLOURS) % len(DASHES)]
-        _side(axes, side, line, length, shift)
-    for index, level in enumerate(picture.levels):
-        label = f"{plain(level.label, 44)}: {number(level.value)}"
+        for curve in curves:
+            _draw_points(axes, curve, line[0], 0.12 * (index - (len(agents) - 1) / 2))
+        _draw_best(axes, best[name], line, name)
+    for index, (name, value) in enumerate(levels.items()):
+        label = f"{plain(name, 44)}: {number(value)}"
         dashes = _DASHES[index % len(_DASHES)]
-        axes.axhline(level.value, color=INK, lw=0.9, dashes=dashes, zorder=2, label=label)
-    entitle(figure, picture.title)
+        axes.axhline(value, color=INK, lw=0.9, dashes=dashes, zorder=2, label=label)
+    entitle(figure, title)
     handles = axes.get_legend_handles_labels()[0]
     figure_legend(figure, handles, 2, fontsize=7.5, handletextpad=0.6)
     return figure
 
 
-def _side(
-    axes: Axes,
-    side: ArmCurves,
-    line: tuple[str, str],
-    length: int,
-    shift: float,
-) -> None:
-    """Draw one side. line: its colour and dashes."""
-    top, (colour, dashes) = axes.get_ylim()[1], line
-    at = np.arange(1, length + 1)
-    for curve in side.curves:
-        points = [(n, v) for n, v in enumerate(curve.values, start=1) if v is not None]
-        for inside, marker in ((True, "o"), (False, "^")):
-            chosen = [(n, v) for n, v in points if (v <= top) == inside]
-            if not chosen:  # nothing, unclipped, would take up room at the figure's corner
-                continue
-            axes.plot(
-                [n + shift for n, _ in chosen],
-                [min(v, top) for _, v in chosen],
-                marker,
-                mfc="white",
-                mec=colour,
-                ms=3.8,
-                mew=0.9,
-                alpha=0.8,
-                clip_on=inside,
-                zorder=3,
-            )
-    best = np.array([c.best_so_far(length) for c in side.curves]).reshape(-1, length)
+def _best_so_far(curve: Curve, length: int) -> Array:
+    """(length,); NaN before the first score, the last value again after the end."""
+    values = [np.nan if v is None else v for v in curve]
+    return np.fmin.accumulate(np.array(values + [np.nan] * (length - len(values))))
+
+
+def _draw_points(axes: Axes, curve: Curve, colour: str, shift: float) -> None:
+    top = axes.get_ylim()[1]
+    points = [(n, v) for n, v in enumerate(curve, start=1) if v is not None]
+    for inside, marker in ((True, "o"), (False, "^")):
+        chosen = [(n, v) for n, v in points if (v <= top) == inside]
+        if not chosen:  # nothing, unclipped, would take up room at the figure's corner
+            continue
+        axes.plot(
+            [n + shift for n, _ in chosen],
+            [min(v, top) for _, v in chosen],
+            marker,
+            mfc="white",
+            mec=colour,
+            ms=3.8,
+            mew=0.9,
+            alpha=0.8,
+            clip_on=inside,
+            zorder=3,
+        )
+
+
+def _draw_best(axes: Axes, best: Array, line: tuple[str, str], name: str) -> None:
+    """best: (searches, experiments); line: colour and dashes."""
+    (colour, dashes), at = line, np.arange(1, best.shape[1] + 1)
     shown = np.isfinite(best).all(axis=0)
     if not shown.any():
         return
@@ -358,8 +373,8 @@ def _side(
         for one in best:
             axes.step(at, one, where="post", color=colour, lw=0.6, alpha=0.7, zorder=4)
     middle = np.median(best[:, shown], axis=0)
-    label = f"{plain(side.label, 44)}: {number(float(middle[-1]))}"
+    label = f"{plain(name, 44)}: {number(float(middle[-1]))}"
     label += f", median of {len(best)} seeds" if several else ""
-    ends = np.append(at[shown], length + 0.4), np.append(middle, middle[-1])
+    ends = np.append(at[shown], len(at) + 0.4), np.append(middle, middle[-1])
     axes.step(*ends, where="post", color=colour, ls=dashes, lw=2.0, zorder=5, label=label,
               gid="side")  # fmt: skip

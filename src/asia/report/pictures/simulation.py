@@ -1,6 +1,5 @@
 """Pictures of simulated outputs, of long records and of windows."""
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
@@ -9,7 +8,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
 from asia.data.trajectory import Array, Signal, spread_of
 from asia.judge.scoring.euclidean_error import mee_table
@@ -28,7 +27,6 @@ from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.problem.protocol import OutputGroup
-from asia.report.comparison import PublishedMee
 from asia.report.drawing.places import Stretch, TimeAxis, last_sample, lay_out, time_unit
 from asia.report.drawing.style import (
     BLUE,
@@ -522,107 +520,8 @@ def _test_error(problem: Problem, opened: Unsealed, channel: int) -> str:
 # The error of windows over the number of samples since their start.
 
 
-_COLUMNS = 2
-_NOTE_LINE = 0.125
-GROWTH_MOST_PANELS = 16
+_MOST_PANELS = 16
 _COLOURS: Final = (BLUE, ORANGE, GREEN, RED, QUIET, FAINT)
-_MARK_COLOURS: Final = (QUIET, GREEN, RED, INK)
-_MARKERS: Final = ("o", "s", "^", "D", "v", "P")
-
-
-@dataclass(frozen=True)
-class ErrorCurve:
-    """Error after each sample of the window, (H,)."""
-
-    label: str
-    values: Array
-
-
-@dataclass(frozen=True)
-class Marks:
-    """Published errors: (horizon in samples, error)."""
-
-    label: str
-    points: tuple[tuple[int, float], ...]
-
-
-@dataclass(frozen=True)
-class Growth:
-    """Error growth of one output or group; `title` names it, `label` the axis."""
-
-    title: str
-    label: str
-    lines: tuple[ErrorCurve, ...]
-    marks: tuple[Marks, ...] = ()
-
-
-def draw_growth(
-    panels: Sequence[Growth], sampling_time: float, title: str, caption: str = ""
-) -> Figure:
-    """A panel each, the same lines and marks in all of them. sampling_time in seconds."""
-    columns = _COLUMNS if len(panels) <= 4 else 4
-    rows = -(-len(panels) // columns)
-    width = picture_width() if columns == _COLUMNS else 1.3 * picture_width()
-    each = 2.2 if columns == _COLUMNS else 1.55
-    note = textwrap.wrap(caption, int(16 * width))
-    below = _NOTE_LINE * len(note)
-    figure = Figure(figsize=(width, 1.0 + rows * each + below), layout="constrained")
-    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[each] * rows + [below + 0.01])
-    first: Axes | None = None
-    last = max(len(line.values) for line in panels[0].lines)
-    span = f"{sampling_time * 1000:g} ms" if sampling_time < 1 else f"{sampling_time:g} s"
-    for index, panel in enumerate(panels):
-        axes = figure.add_subplot(grid[index // columns, index % columns], sharex=first)
-        first = first or axes
-        _draw_growth_panel(axes, panel)
-        axes.set_xlim(0, last * 1.04)
-        if index + columns >= len(panels):
-            axes.set_xlabel(
-                f"Samples after the start, {span} each" if columns == _COLUMNS else "Samples"
-            )
-        else:
-            axes.tick_params(labelbottom=False)
-    if note:
-        place = figure.add_subplot(grid[rows, :])
-        place.set_axis_off()
-        place.text(0.0, 1.0, "\n".join(note), va="top", fontsize=6.5, color=QUIET)
-    if first is not None:
-        figure_legend(figure, first.get_legend_handles_labels()[0], 3)
-    entitle(figure, title)
-    return figure
-
-
-def _draw_growth_panel(axes: Axes, panel: Growth) -> None:
-    for index, line in enumerate(panel.lines):
-        axes.plot(
-            np.arange(1, len(line.values) + 1),
-            line.values,
-            color=_COLOURS[index % len(_COLOURS)],
-            lw=1.6,
-            dashes=(4, 1.5) if index and panel.marks else (1, 0),
-            label=plain(line.label, 44),
-        )
-    for index, marks in enumerate(panel.marks):
-        axes.plot(
-            [h for h, _ in marks.points],
-            [v for _, v in marks.points],
-            _MARKERS[index % len(_MARKERS)],
-            mfc="white",
-            mec=_MARK_COLOURS[index % len(_MARK_COLOURS)],
-            mew=1.2,
-            ms=5.0,
-            label=plain(marks.label, 44),
-        )
-    axes.set_title(plain(panel.title, 30))
-    axes.set_ylabel(plain(panel.label, 24))
-    if panel.marks:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_minor_locator(NullLocator())
-    else:
-        axes.set_ylim(bottom=0.0)
-    quiet_grid(axes)
 
 
 def draw_horizon(
@@ -642,15 +541,10 @@ def draw_horizon(
 
 
 def draw_test_horizon(
-    run: Run,
-    problem: Problem,
-    opened: Unsealed,
-    ensemble: TestedModel,
-    published: Sequence[PublishedMee] = (),
-    caption: str = "",
+    run: Run, problem: Problem, opened: Unsealed, ensemble: TestedModel
 ) -> Figure:
-    """Mean error after each sample of the test windows, a panel for each output group: ensemble,
-    refitted model and published errors, which `caption` explains."""
+    """Mean error after each sample of the test windows, a panel for each output group: ensemble
+    and refitted model."""
     models = {f"ensemble of {problem.protocol.folds.count} fold models": ensemble}
     if isinstance(opened.refit, TestedModel):
         models["refitted on all training data"] = opened.refit
@@ -660,37 +554,55 @@ def draw_test_horizon(
     }
     title = f"Sealed test: experiment {opened.experiment}, error over the horizon, "
     title += f"{len(measured)} windows"
-    return _draw_errors(problem, simulations, title, published, caption)
+    return _draw_errors(problem, simulations, title)
 
 
 def _draw_errors(
     problem: Problem,
     simulations: Mapping[str, tuple[Sequence[Array], Sequence[Array]]],
     title: str,
-    published: Sequence[PublishedMee] = (),
-    caption: str = "",
 ) -> Figure:
     """simulations: measured and simulated windows (H, ny), by the name of their line."""
     names, groups = [s.name for s in problem.outputs], problem.protocol.test.groups
     if not groups:
         groups = tuple(OutputGroup(name, (name,)) for name in names)
-        title += shown((min(len(names), GROWTH_MOST_PANELS), len(names), "outputs"))
-    groups = groups[:GROWTH_MOST_PANELS]
+        title += shown((min(len(names), _MOST_PANELS), len(names), "outputs"))
+    groups = groups[:_MOST_PANELS]
     tables = {
         label: mee_table(measured, y_hat, names, groups, ())
         for label, (measured, y_hat) in simulations.items()
     }
-    panels: list[Growth] = []
+    few = len(groups) <= 4
+    columns, width, each = (2, 1.0, 2.2) if few else (4, 1.3, 1.55)
+    rows = -(-len(groups) // columns)
+    size = width * picture_width(), 1.0 + rows * each
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.add_gridspec(rows, columns)
+    seconds = problem.sampling_time
+    span = f"{seconds * 1000:g} ms" if seconds < 1 else f"{seconds:g} s"
+    first: Axes | None = None
     for place, group in enumerate(groups):
+        axes = figure.add_subplot(grid[place // columns, place % columns], sharex=first)
+        first = first or axes
+        for index, (name, table) in enumerate(tables.items()):
+            values = np.array(table.groups[place].steps)
+            color, at = _COLOURS[index % len(_COLOURS)], np.arange(1, len(values) + 1)
+            axes.plot(at, values, color=color, lw=1.6, label=plain(name, 44))
         units = {s.unit for s in problem.outputs if s.name in group.outputs}
         unit = f" [{units.pop()}]" if len(units) == 1 and units != {""} else ""
         kind = "Distance" if len(group.outputs) > 1 else "Error"
         if group.distance == "geodesic":
             kind = "Angle"
-        lines = [ErrorCurve(k, np.array(t.groups[place].steps)) for k, t in tables.items()]
-        marks = [
-            Marks(p.model, tuple((h, value) for name, h, value in p.errors if name == group.name))
-            for p in published
-        ]
-        panels.append(Growth(group.name, f"{kind}{unit}", tuple(lines), tuple(marks)))
-    return draw_growth(panels, problem.sampling_time, title, caption)
+        axes.set_title(plain(group.name, 30))
+        axes.set_ylabel(plain(f"{kind}{unit}", 24))
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlim(0, 1.04 * max(len(table.groups[place].steps) for table in tables.values()))
+        quiet_grid(axes)
+        if place + columns >= len(groups):
+            axes.set_xlabel(f"Samples after the start, {span} each" if few else "Samples")
+        else:
+            axes.tick_params(labelbottom=False)
+    if first is not None:
+        figure_legend(figure, first.get_legend_handles_labels()[0], 3)
+    entitle(figure, title)
+    return figure

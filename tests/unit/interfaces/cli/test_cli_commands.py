@@ -22,16 +22,18 @@ def listed(text: str) -> list[str]:
 
 def test_help_lists_the_main_commands_first(asia: Asia) -> None:
     names = [word for word in listed(asia("--help").out) if not word.startswith("-")]
-    assert names == [*MAIN_COMMANDS, *MORE_COMMANDS]
+    place = names.index("linear") + 1
+    assert names[place : place + 4] == ["control", "monitor", "certify", "next"]
+    assert [*names[:place], *names[place + 4 :]] == [*MAIN_COMMANDS, *MORE_COMMANDS]
     assert {"init", "check", "run"} <= {*MAIN_COMMANDS}
     assert "workspace" in listed(asia("agent", "--help").out)
-    assert {"paper", "suite", "agents"} <= {*listed(asia("bench", "--help").out)}
+    assert "agents" in listed(asia("bench", "--help").out)
 
 
 def test_the_help_of_run_is_short_and_help_all_is_complete(asia: Asia) -> None:
     options = [w for w in listed(asia("run", "--help").out) if w.startswith("--")]
     assert options == [
-        "--agent", "--experiments", "--seed", "--hours", "--name", "--isolation", "--parallel",
+        "--agent", "--experiments", "--seed", "--hours", "--isolation", "--name", "--parallel",
         "--executor", "--runs", "--json", "--help-all", "--help", "--model",
     ]  # fmt: skip
     done = asia("run", "--help-all")
@@ -105,7 +107,7 @@ def test_a_plugin_adds_commands(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> 
     module.bake, module.shelf, module.number = bake, group, 3  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "oven_commands", module)
     parts = [
-        Part(_plugins.GROUPS[-1], name, f"oven_commands:{target}", "oven", "1.0")
+        Part("asia.commands", name, f"oven_commands:{target}", "oven", "1.0")
         for name, target in (
             ("bake", "bake"), ("shelf", "shelf"), ("number", "number"), ("gone", "nothing"),
             ("run", "bake"),

@@ -1,7 +1,7 @@
 """Groups of options: typer sees one parameter a field, the command gets the groups."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import pytest
 import typer
@@ -35,6 +35,24 @@ def test_a_group_is_spread_and_put_together_again(capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out == f"Hill {Colours('red')} 3\n"
 
 
+def test_options_are_added_to_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    def house(*, street: str) -> None:
+        """Build it."""
+        print(street)
+
+    def garden(command: Any, given: Any, *, trees: int = 0) -> None:
+        """Plant it."""
+        command()
+        print(given, trees)
+
+    toy = typer.Typer()
+    toy.command()(with_groups(house, added=[garden]))
+    run = typer.main.get_command(toy)
+    assert run.help == "Build it.\n\nPlant it."
+    run(["Hill", "--trees", "3"], standalone_mode=False)
+    assert capsys.readouterr().out == "Hill\n{'street': 'Hill'} 3\n"
+
+
 def test_what_was_given_is_what_differs_from_the_default() -> None:
     assert given(Colours()) == {}
     assert given(Colours("red", 3)) == {"paint": "red", "coats": 3}
@@ -42,8 +60,8 @@ def test_what_was_given_is_what_differs_from_the_default() -> None:
 
 
 def test_commands_that_begin_a_search_have_the_same_options() -> None:
-    main = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    commands = {**main, **main["agent"].commands}
+    main: Any = typer.main.get_command(app)
+    commands = {"run": main.get_command(None, "run"), **main.get_command(None, "agent").commands}
     shared = {"experiments", "seed", "hours", "name", "early_stopping", "isolation", "runs"}
     for name in ("run", "workspace", "mcp", "config"):
         assert shared <= {parameter.name for parameter in commands[name].params}

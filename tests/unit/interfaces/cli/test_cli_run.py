@@ -209,7 +209,7 @@ def test_version(asia: Asia) -> None:
     assert asia("--version").out == f"asia {__version__}\n"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_strict_isolation_is_told(tmp_path: Path, asia: Asia) -> None:
     problem = write_problem(tmp_path / "toy")
     words = ("--agent", "random", "--experiments", 1, "--runs", tmp_path / "runs")
@@ -222,7 +222,7 @@ def test_strict_isolation_is_told(tmp_path: Path, asia: Asia) -> None:
     assert ", strict" in asia("show", run, "1").out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_the_seconds_went(searched: Searched, asia: Asia, tmp_path: Path) -> None:
     done = asia("status", searched.directory, "--profile")
     assert done.code == 0, done.err

@@ -84,14 +84,6 @@ def test_names_in_a_problem(hostile: Path) -> None:
     assert not any(line.startswith("fold 9") for line in written.splitlines())
 
 
-@pytest.mark.slow
-def test_words_of_an_error(hostile: Path) -> None:
-    text = (hostile / "problem.toml").read_text()
-    escaped = "".join(c if c.isascii() and c.isprintable() else f"\\u{ord(c):04x}" for c in HOSTILE)
-    (hostile / "problem.toml").write_text(text.replace('inputs = ["u"]', f'inputs = ["{escaped}"]'))
-    check_tame(on_terminal(("check", hostile)))
-
-
 class Words:
     """An agent of another package: nobody shortened its words."""
 

@@ -60,7 +60,7 @@ def test_a_line_a_check_a_record_in_the_ledger_and_a_section_of_the_report(
     assert page.split('id="validation"')[1].split("</section>")[0].count("<figure>") >= 9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_that_is_not_finished_keeps_no_validation_report(
     finished: Path, asia: Asia
 ) -> None:

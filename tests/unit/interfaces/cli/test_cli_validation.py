@@ -72,18 +72,3 @@ def test_show_and_diff_say_it(told: Searched, asia: Asia) -> None:
     assert "2 validation scores)" in text
     assert "val. scores" in text
     assert asia("show", "1", "1", "--runs", told.runs).out.count(f"{CALLED} = ") == 2
-
-
-@pytest.mark.long
-def test_an_inner_search_says_nothing_of_it(searched: Searched, asia: Asia) -> None:
-    for command in (("status",), ("show",)):
-        out = asia(*command, "--runs", searched.runs).out
-        assert "early stopping" not in out
-        assert "validation score" not in out
-
-
-def test_another_word_is_refused(problem: Path, asia: Asia) -> None:
-    done = asia("run", problem, "--early-stopping", "outer")
-    assert done.code == 2
-    assert "expected inner or validation" in done.err
-    assert not Path("runs").exists()

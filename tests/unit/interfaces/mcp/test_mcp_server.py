@@ -151,7 +151,7 @@ def test_what_an_agent_does_wrong_is_told_in_words_it_can_use(setting: Setting) 
     anyio.run(main)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_words_of_a_candidate_are_bounded_wherever_they_are_shown(setting: Setting) -> None:
     loud = "def fit(t, c):\n    raise ValueError('\\x1b[31m' + 5000 * 'y')\n"
 
@@ -195,7 +195,7 @@ def test_taking_back(setting: Setting) -> None:
     anyio.run(main)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_person_steers_and_stops_it(setting: Setting) -> None:
     async def main() -> None:
         async with Client(make_server(setting.opened())) as client:

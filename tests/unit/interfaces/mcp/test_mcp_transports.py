@@ -17,7 +17,6 @@ from asia.errors import UserError
 from asia.interfaces.mcp.config import client_configuration
 from asia.interfaces.mcp.http import serve
 from asia.ledger.run import open_run
-from asia.ledger.verification import verify
 from tests.unit.interfaces.workspace.desks import searches
 from tests.unit.search.toy import arx
 
@@ -46,20 +45,6 @@ def servers(setting: Setting) -> list[int]:
             if b"mcp" in words and os.fsencode(setting.runs) in words:
                 found.append(int(entry.name))
     return found
-
-
-@pytest.mark.long
-def test_a_search_over_stdio(setting: Setting) -> None:
-    async def main() -> None:
-        async with Client(stdio(setting)) as client:
-            agent = Agent(client)
-            assert (await agent.judged(await agent.submit(arx(2))))["V"] < 0.05
-            assert (await agent.judged(await agent.submit(arx(3))))["experiment"] == 3
-            assert (await agent.call("status"))["remaining"] == 0
-
-    anyio.run(main)
-    assert servers(setting) == []
-    verify(setting.directory)
 
 
 @pytest.mark.slow

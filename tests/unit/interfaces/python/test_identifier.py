@@ -12,13 +12,12 @@ import pandas as pd
 import pytest
 
 import asia
+from asia.analysis.verdict import usability
 from asia.data import Array, Signal
 from asia.data.arrays import read_arrays
 from asia.data.intake.conversion import Intake, Use
 from asia.errors import UserError
-from asia.ledger.verdict import usability
 from asia.search.simulation import BandedSimulation
-from tests.unit.interfaces.cli.conftest import command_line
 
 pytestmark = pytest.mark.slow
 
@@ -44,7 +43,6 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> asia.SystemIdentifier:
     return found.fit([u for u, _ in records], [y for _, y in records], sampling_time=STEP)
 
 
-@pytest.mark.long
 def test_it_simulates_predicts_and_scores(fitted: asia.SystemIdentifier) -> None:
     u, y = a_record(3)
     assert fitted.score(u, y) > 99.0
@@ -81,19 +79,6 @@ def test_the_same_records_and_settings_resume(fitted: asia.SystemIdentifier) -> 
     again.fit([u for u, _ in records], [y for _, y in records], sampling_time=STEP)
     assert again.run_.directory == fitted.run_.directory
     assert again.run_.lines == fitted.run_.lines
-
-
-@pytest.mark.long
-def test_the_command_line_finds_the_same(fitted: asia.SystemIdentifier, tmp_path: Path) -> None:
-    directory = next((Path(fitted.runs) / "problems").glob("records-*"))
-    done = command_line(
-        "run", directory, "--experiments", "1", "--seed", "0", "--runs", tmp_path, "--json"
-    )
-    assert done.code == 0
-    (there,) = tmp_path.glob("*/ledger.jsonl")
-    view = asia.open_run(there.parent).view
-    assert [e.score for e in view.finished] == [e.score for e in fitted.run_.view.finished]
-    assert view.experiments[0].proposed == fitted.run_.view.experiments[0].proposed
 
 
 def test_parameters_are_those_of_the_constructor() -> None:

@@ -141,6 +141,7 @@ def test_a_new_experiment_appears_and_a_title_stays_text(
     assert (watched.complaints, watched.hosts) == ([], {f"127.0.0.1:{server.port}"})
 
 
+@pytest.mark.long
 def test_the_address_keeps_the_chosen_experiments(
     server: Server, watched: Watched, problem: Problem
 ) -> None:
@@ -178,6 +179,7 @@ def test_a_page_outlives_its_server(server: Server, watched: Watched, problem: P
     assert server.end(signal.SIGINT) == 0
 
 
+@pytest.mark.long
 def test_the_list_of_runs_moves(server: Server, watched: Watched, problem: Problem) -> None:
     page = watched.page
     page.get_by_label("choose made").check()
@@ -224,20 +226,7 @@ def test_a_search_is_steered_with_the_keyboard_alone(server: Server, watched: Wa
     assert (server.runs / "made" / "control" / "stop").exists()
 
 
-def test_settings_that_are_the_same_are_shown_with_the_keyboard(
-    server: Server, watched: Watched
-) -> None:
-    page = watched.page
-    page.goto(server.at("/compare?e=made/1&e=made/2"))
-    same = page.locator("#settings tr.same")
-    expect(same).to_have_count(2)
-    expect(same.first).to_be_hidden()
-    page.get_by_label("differences only").focus()
-    page.keyboard.press("Space")
-    expect(same.first).to_be_visible()
-    assert watched.complaints == []
-
-
+@pytest.mark.long
 def test_overlays_zoom_by_keyboard_and_pointer(server: Server, watched: Watched) -> None:
     page = watched.page
     page.goto(server.at("/runs/made/experiments/2"))
@@ -267,12 +256,7 @@ def test_overlays_zoom_by_keyboard_and_pointer(server: Server, watched: Watched)
 
 @pytest.mark.parametrize(
     ("size", "scheme"),
-    [
-        ("wide", "light"),
-        ("phone", "dark"),
-        pytest.param("wide", "dark", marks=pytest.mark.long),
-        pytest.param("phone", "light", marks=pytest.mark.long),
-    ],
+    [("wide", "light"), ("phone", "dark")],
 )
 def test_pages_fit_the_screen_and_are_accessible(
     server: Server, browser: Browser, size: str, scheme: str
@@ -300,24 +284,7 @@ def test_pages_fit_the_screen_and_are_accessible(
     assert watched.hosts <= {f"127.0.0.1:{server.port}", ""}
 
 
-def test_the_reason_of_a_row_is_inside_the_row_on_a_phone(
-    server: Server, browser: Browser, problem: Problem
-) -> None:
-    context = browser.new_context(viewport=SIZES["phone"])  # pyright: ignore
-    page = context.new_page()
-    page.goto(server.address)
-    page.goto(server.at("/runs/made"))
-    reason = page.locator("#rows .why").first
-    # Two lines, as the stylesheet allows.
-    reason.evaluate("one => one.textContent = 'V 1.3 % above #27, within the threshold '.repeat(4)")
-    page.locator("#rows").scroll_into_view_if_needed()
-    below, row = reason.evaluate(
-        "one => [one, one.closest('li')].map(e => e.getBoundingClientRect().bottom)"
-    )
-    assert below <= row
-    context.close()
-
-
+@pytest.mark.long
 def test_an_experiment_is_tagged_with_the_keyboard_alone(server: Server, watched: Watched) -> None:
     page = watched.page
     page.goto(server.at("/runs/made/experiments/2"))
@@ -340,14 +307,3 @@ def test_an_experiment_is_tagged_with_the_keyboard_alone(server: Server, watched
     expect(page.locator("#e2 .label").first).to_have_text("unstable")
     expect(page.locator("#notes li")).to_contain_text("#02 +unstable +again it diverges")
     assert verify(server.runs / "made", ledger_alone=True).records == 13
-
-
-def test_a_start_that_is_refused_says_why(server: Server, watched: Watched) -> None:
-    page = watched.page
-    page.get_by_text("Start a search").press("Enter")
-    page.get_by_label("Problem").select_option("two_tanks_sim")
-    page.get_by_label("Name").fill("no name")
-    page.get_by_label("Name").press("Enter")
-    expect(page.get_by_role("status").last).to_contain_text("'no name' is no name of a run")
-    expect(page.get_by_role("button", name="Start the search")).to_be_enabled()
-    assert page.url.endswith("/")

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from asia.agents.library.recipe import Recipe
 from asia.agents.registry import reads_notes
 from asia.analysis.importance import share_of_variance
 from asia.errors import Reason, UserError
@@ -24,6 +23,7 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
+from asia.recipe import Recipe
 from asia.report.page.page import page_of
 from tests.unit.report.made_up import append_experiment, append_test
 
@@ -512,7 +512,10 @@ def test_costs_of_commands_are_axes_of_the_trade_off_picture(
     (directory / "certificate-4.json").write_text("{}")
     (directory / "certificate-3.json").write_text(json.dumps({"model": "stack", "statements": []}))
     subject = FollowedRun(directory).snapshot().subject
-    assert subject.analysed == {"certificate": {1: 1.25, 2: 3.5}, "control": {1: 12.5, 2: 35.0}}
+    assert subject.costs == {
+        "proven bound of the gain": {1: 1.25, 2: 3.5},
+        "cost of the closed loop (IAE)": {1: 12.5, 2: 35.0},
+    }
     page = client.get("/runs/made/sections/tradeoff").text
     assert "proven bound of the gain" in page
     assert "cost of the closed loop (IAE)" in page

@@ -20,7 +20,7 @@ LONGEST = 120.0
 
 
 def order(problem: Path, experiments: int | None = 4, seed: int = 0) -> SearchRequest:
-    return SearchRequest(str(problem), "mcp", seed, experiments, None, None, None)
+    return SearchRequest(problem=str(problem), agent="mcp", seed=seed, experiments=experiments)
 
 
 def candidate(

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.interfaces.coding_agents.presets import make_preset
+from asia.interfaces.coding_agents.presets import Stream, StreamFormat, make_preset
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import read_lines
 from asia.ledger.events import Streamed
 from asia.ledger.run import open_run
 from tests.unit.search.toy import write_problem
 
-from .commands import JAILED, RULES, fake, go, with_config
+from .commands import JAILED, RULES, fake, go
 
 
 @pytest.fixture
@@ -24,12 +24,26 @@ def problem(tmp_path: Path) -> Path:
     return write_problem(tmp_path / "toy", experiments=3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("format_", "tokens"), [("claude", 2 * 115), ("codex", 2 * 110), ("gemini", 220)]
-)
-def test_an_agent_drives_a_search(problem: Path, format_: str, tokens: int) -> None:
-    view = go(problem, fake(format_, "search"))
+    ("format_", "lines", "tokens"),
+    [
+        ("codex", 2 * ['{"type": "turn.completed", "usage": {"input_tokens": 100, '
+                       '"output_tokens": 10}}'], 220),
+        ("gemini", ['{"type": "message", "role": "assistant", "content": "working"}',
+                    '{"type": "result", "status": "success", "stats": {"input_tokens": 200, '
+                    '"output_tokens": 20}}'], 220),
+    ],
+)  # fmt: skip
+def test_each_format_tells_its_tokens(format_: StreamFormat, lines: list[str], tokens: int) -> None:
+    stream = Stream(format_)
+    for line in ("this is not JSON", *lines):
+        stream.feed(line)
+    assert stream.usage.tokens == tokens
+
+
+@pytest.mark.slow
+def test_an_agent_drives_a_search(problem: Path) -> None:
+    view = go(problem, fake("claude", "search"))
     assert view.stopped is not None
     assert view.stopped.reason == "budget"
     assert [e.proposed.title for e in view.finished[1:]] == [
@@ -37,7 +51,7 @@ def test_an_agent_drives_a_search(problem: Path, format_: str, tokens: int) -> N
         "order 3, number 1",
     ]
     assert view.usage is not None
-    assert view.usage.tokens <= tokens
+    assert view.usage.tokens <= 2 * 115
     assert view.usage.tokens >= 110
     directory = problem.parent / "runs" / "toy-claude-s0"
     store = Store(directory / "artifacts")
@@ -80,25 +94,6 @@ def test_an_agent_that_leaves_at_once_is_asked_twice(problem: Path) -> None:
     assert view.stopped.reason == "agent"
     assert "cannot log in" in view.stopped.detail
     assert len(view.sessions) == 2
-
-
-@pytest.mark.long
-def test_failures_in_a_row_are_stuck(tmp_path: Path) -> None:
-    problem = write_problem(tmp_path / "toy", experiments=9)
-    view = go(problem, fake("claude", "fail"), replace(RULES, failures=3))
-    assert view.stopped is not None
-    assert view.stopped.reason == "stuck"
-    assert len(view.finished) <= 5
-
-
-@pytest.mark.long
-def test_cost_of_a_resumed_session_is_not_counted_twice(problem: Path) -> None:
-    view = go(problem, fake("claude", "twice"), with_config(problem))
-    assert len(view.finished) == 3
-    costs = [s.usage.cost for s in view.sessions if s.usage]
-    assert costs[0] == pytest.approx(0.03)
-    assert view.usage is not None
-    assert view.usage.cost is None or view.usage.cost <= 0.05 + 1e-9
 
 
 @pytest.mark.long

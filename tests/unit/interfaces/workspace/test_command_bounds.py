@@ -18,8 +18,6 @@ from tests.unit.search.toy import write_problem
 
 from .commands import JAILED, RULES, fake, go, says, with_config
 
-KEY = "sk-0123456789abcdef"
-
 
 @pytest.fixture
 def problem(tmp_path: Path) -> Path:
@@ -58,24 +56,6 @@ def test_a_workspace_is_never_taken_for_a_run(problem: Path) -> None:
         go(problem, fake("claude", "leave"))
 
 
-@pytest.mark.slow
-def test_a_key_is_written_nowhere(problem: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MY_KEY", KEY)
-    rules = replace(RULES, variables=("MY_KEY",))
-    view = go(problem, says("import os;print(os.environ['MY_KEY'])"), rules)
-    assert streamed(problem).count(b"[hidden]") == 2
-    assert "[hidden]" in view.sessions[0].outcome
-    for path in (problem.parent / "runs" / "toy-claude-s0").rglob("*"):
-        assert not path.is_file() or KEY.encode() not in path.read_bytes()
-
-
-@pytest.mark.slow
-def test_half_a_character_in_a_stream_is_no_crash(problem: Path) -> None:
-    code = 'print(\'{"type":"result","subtype":"\' + chr(92) + \'ud800\' + chr(92) + \'u001b"}\')'
-    view = go(problem, says(code))
-    assert view.sessions[0].outcome == "\N{REPLACEMENT CHARACTER}" * 2
-
-
 def test_a_session_is_not_taken_for_an_option() -> None:
     stream = Stream("claude")
     stream.feed('{"type": "system", "session_id": "--settings=x"}')
@@ -95,24 +75,19 @@ def test_totals_of_a_resumed_session_hold_the_earlier_ones() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not JAILED, reason="no namespaces here")
-def test_a_configuration_is_a_copy(problem: Path) -> None:
+def test_the_jail_has_limits_and_a_configuration_is_a_copy(problem: Path) -> None:
     code = (
         "from pathlib import Path;p=Path.home()/'.claude'/'login';print(p.read_text());"
-        "p.write_text('changed')"
+        "p.write_text('changed');import resource as r;"
+        "print([r.getrlimit(k)[1] for k in (r.RLIMIT_NPROC,r.RLIMIT_FSIZE)]);"
+        'print(\'{"type":"result","subtype":"\' + chr(92) + \'ud800\' + chr(92) + \'u001b"}\')'
     )
-    go(problem, says(code), with_config(problem))
+    view = go(problem, says(code), with_config(problem))
     assert b"a token" in streamed(problem)
     assert (problem.parent / ".claude" / "login").read_text() == "a token"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not JAILED, reason="no namespaces here")
-def test_the_jail_has_limits(problem: Path) -> None:
-    code = (
-        "import resource as r;print([r.getrlimit(k)[1] for k in (r.RLIMIT_NPROC,r.RLIMIT_FSIZE)])"
-    )
-    go(problem, says(code))
     assert b"[512, 1073741824]" in streamed(problem)
+    # Half a character in a stream is no crash.
+    assert view.sessions[0].outcome == "\N{REPLACEMENT CHARACTER}" * 2
 
 
 @pytest.mark.skipif(not JAILED, reason="no namespaces here")

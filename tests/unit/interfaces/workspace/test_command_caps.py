@@ -96,12 +96,6 @@ def test_a_child_that_keeps_the_output_open_does_not_hold_the_search(problem: Pa
 
 
 @pytest.mark.long
-def test_a_finished_run_returns(problem: Path) -> None:
-    go(problem, fake("claude", "search"))
-    assert ends(lambda: go(problem, fake("claude", "search")))
-
-
-@pytest.mark.slow
 def test_time_is_capped_while_candidates_wait(tmp_path: Path) -> None:
     """An agent that hands in faster than is judged is watched all the same."""
     problem = write_problem(tmp_path / "toy", experiments=40)

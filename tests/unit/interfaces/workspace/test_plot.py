@@ -49,7 +49,7 @@ def test_training_samples_alone_are_simulated(run: Path) -> None:
         assert np.array_equal(y, record[case.start : case.start + len(y)])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_held_out_samples_are_shown_where_the_problem_says_so(tmp_path: Path) -> None:
     directory = searched(tmp_path, '[protocol]\nresiduals = "held_out"\n')
     shown = RunDesk(directory).simulated(2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asia.agents.library.recipe import read_recipe
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
@@ -23,6 +22,7 @@ from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
 from asia.problem.folds import make_folds
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
+from asia.recipe import read_recipe
 
 HOLD = """
 import numpy as np

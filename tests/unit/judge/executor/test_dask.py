@@ -106,6 +106,7 @@ def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         yield made
 
 
+@pytest.mark.slow
 def test_work_waits_for_a_worker_and_a_cluster_without_one_is_said(
     threads: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,6 +125,7 @@ def test_work_waits_for_a_worker_and_a_cluster_without_one_is_said(
     executor.close()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_gone_is_said(threads: Any) -> None:
     executor = DaskExecutor(threads.scheduler_address)
     assert executor.carry(joined, b"a", "digest", b"b") == b"ab"
@@ -164,6 +166,7 @@ def test_a_forgotten_request_ends_alone(threads: Any) -> None:
     executor.close()
 
 
+@pytest.mark.slow
 def test_folds_wait_here_until_a_thread_is_free(threads: Any) -> None:
     executor = DaskExecutor(threads.scheduler_address)
     assert executor._room() == 1

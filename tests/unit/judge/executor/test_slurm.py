@@ -139,7 +139,7 @@ def test_a_job_of_slurm_runs_a_search(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".asia-scheduler-*")), said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_slurm
 @needs_root
 def test_a_search_asks_slurm_for_its_workers(tmp_path: Path) -> None:

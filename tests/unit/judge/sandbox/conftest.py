@@ -6,7 +6,7 @@ import pytest
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.judge.sandbox.availability import open_worker, why_not
+from asia.judge.sandbox.availability import open_worker, probe, why_not
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
 
@@ -15,6 +15,11 @@ LEVELS = [
     pytest.param(level, marks=pytest.mark.skipif(reason is not None, reason=str(reason)))
     for level, reason in REASONS.items()
 ]
+
+
+# The contract of a worker is checked at each level by `check_sandbox`; what does not depend on the
+# layers is tested at one.
+one_level = pytest.mark.parametrize("level", [probe().level], ids=str)
 
 
 @dataclass(frozen=True)

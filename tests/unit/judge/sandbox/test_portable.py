@@ -9,7 +9,16 @@ import pytest
 
 import asia
 from asia.errors import CandidateError
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.portable import PlaceError, places_here, portable
+
+
+@pytest.fixture
+def level() -> Isolation:
+    """The strongest one: none of this depends on the layers."""
+    return probe().level
+
 
 # A closure of the standard library, pickled with its code; the place of a library; the home.
 HOLDS = """

@@ -11,12 +11,21 @@ from hypothesis import strategies as st
 
 from asia.agents.library.registry import all_families
 from asia.candidate import library_only
+from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.programs import ProgramStore
+from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.wire import packed_programs, unpacked_programs
 from asia.judge.sandbox.worker.worker import Worker
 from asia.problem.load import load_problem
 from asia.search.agent_views import problem_facts
 from tests.unit.judge.sandbox.conftest import Case
+
+
+@pytest.fixture
+def level() -> Isolation:
+    """The strongest one: none of this depends on the layers."""
+    return probe().level
+
 
 OWN = """
 from asia.models import neural_ss

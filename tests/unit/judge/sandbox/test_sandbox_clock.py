@@ -7,12 +7,20 @@ from collections.abc import Callable
 import pytest
 
 from asia._timer import Activity
+from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.compilation import Meter
 from asia.judge.sandbox.worker.process import WorkerClock
 from asia.judge.sandbox.worker.worker import Worker
 
 from .conftest import Case
+
+
+@pytest.fixture
+def level() -> Isolation:
+    """The strongest one: none of this depends on the layers."""
+    return probe().level
+
 
 GAIN = """
 import numpy as np

@@ -43,7 +43,7 @@ def source(fit: str = "pass", simulate: str = "pass") -> str:
     return FAIL.replace("FIT", fit.strip()).replace("SIMULATE", simulate)
 
 
-@pytest.mark.parametrize("code", [KILLED, KILLED + 256, 128 + signal.SIGTERM, 255, 1])
+@pytest.mark.parametrize("code", [KILLED, 255])
 def test_a_worker_that_ends_itself_is_exited_whatever_its_code(worker, case, code):
     with worker() as one, pytest.raises(CandidateError) as caught:
         one.fit(source(f"os._exit({code})"), case.trajectories, case.context)

@@ -7,6 +7,8 @@ import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import CandidateError, SandboxError
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.figures import (
     PARAMETERS,
     count_numbers,
@@ -15,6 +17,13 @@ from asia.judge.sandbox.worker.figures import (
     unpack_estimates,
     unpack_parameters,
 )
+
+
+@pytest.fixture
+def level() -> Isolation:
+    """The strongest one: none of this depends on the layers."""
+    return probe().level
+
 
 SOURCE = """
 import numpy as np

@@ -12,6 +12,8 @@ from asia.judge.sandbox.layers.environment import shown_in
 from asia.judge.sandbox.levels import LEVELS
 from asia.search.run import check_hidden_from_workers
 
+from .conftest import one_level
+
 ENTRY_POINTS = "[asia.families]\ngain = odd_gain.model:Gain\noffset = odd_offset:Offset\n"
 MODEL = """
 from odd_gain.inner import TWO
@@ -109,12 +111,14 @@ def test_runs_and_data_may_be_next_to_packages_but_not_inside(project):
         check_hidden_from_workers(project / "odd_gain" / "runs")
 
 
+@one_level
 def test_a_package_without_init_is_found(project, worker, case):
     (project / "odd_gain" / "__init__.py").unlink()
     with worker() as one:
         one.fit(SOURCE, case.trajectories, case.context)
 
 
+@one_level
 def test_a_package_that_is_not_there_hides_no_other(project, worker, case):
     (project / "odd_offset.py").unlink()
     assert [package.name for package in _plugins.plugin_packages()] == ["odd_gain"]

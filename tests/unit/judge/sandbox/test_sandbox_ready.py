@@ -20,7 +20,7 @@ from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
 from asia.problem.budget import Budget
 
-from .conftest import Case
+from .conftest import Case, one_level
 
 LIMITS = Limits(60.0, 30.0, 4096)
 NOTHING: frozenset[str] = frozenset()
@@ -104,6 +104,7 @@ def fitted(worker: Worker, case: Case, source: str = GAIN) -> list[str]:
     return worker.fit(source, case.trajectories, case.context).output.split()
 
 
+@one_level
 @pytest.mark.slow
 def test_none_waits_at_first_and_each_is_used_once(
     ahead: StandbyWorkers, opened: list[Worker], case: Case
@@ -123,6 +124,7 @@ def test_none_waits_at_first_and_each_is_used_once(
     assert len(opened) == 6
 
 
+@one_level
 @pytest.mark.slow
 def test_a_worker_has_never_loaded_more_than_its_candidate_does(
     ahead: StandbyWorkers, case: Case
@@ -137,6 +139,7 @@ def test_a_worker_has_never_loaded_more_than_its_candidate_does(
     assert "jax" not in modules
 
 
+@one_level
 @pytest.mark.slow
 def test_few_wait(ahead: StandbyWorkers, opened: list[Worker]) -> None:
     for libraries in (NOTHING, FFT, SIGNALS, FFT | SIGNALS, NOTHING, FFT):
@@ -164,6 +167,7 @@ def test_standby_workers_have_all_sandbox_layers(
     assert said.count("failed") == 5
 
 
+@one_level
 def test_one_that_dies_while_it_waits_is_not_used(
     ahead: StandbyWorkers, opened: list[Worker]
 ) -> None:
@@ -175,6 +179,7 @@ def test_one_that_dies_while_it_waits_is_not_used(
     assert ahead.take(FFT) is None
 
 
+@one_level
 def test_libraries_that_do_not_fit_into_memory_are_not_tried_again(
     level: Isolation, opened: list[Worker]
 ) -> None:
@@ -237,6 +242,7 @@ def library_fit(worker: Worker, case: Case) -> tuple[bytes, bytes]:
     return worker.dump(), worker.simulate(case.past_u, case.past_y, case.u).tobytes()
 
 
+@one_level
 @pytest.mark.slow
 def test_a_worker_that_ran_the_library_alone_serves_only_the_library(
     ahead: StandbyWorkers, case: Case
@@ -268,6 +274,7 @@ def test_a_worker_that_ran_the_library_alone_serves_only_the_library(
         assert ahead.take(JAX, library_only=True) is None
 
 
+@one_level
 @pytest.mark.slow
 def test_a_worker_near_its_memory_limit_or_ended_is_not_used_again(
     level: Isolation, case: Case
@@ -280,6 +287,7 @@ def test_a_worker_near_its_memory_limit_or_ended_is_not_used_again(
             assert not worker.renew()
 
 
+@one_level
 def test_fits_in_turn_get_no_worker_that_started_beside_another_fit(level: Isolation) -> None:
     runner = WorkerRunner(level, Budget(fit_seconds=60.0, memory_mb=4096), LocalExecutor(1))
     source = "def fit(trajectories, context):\n    raise ValueError\n"

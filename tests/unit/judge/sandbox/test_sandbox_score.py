@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from asia.errors import CandidateError, Reason, SandboxError
-from asia.judge.sandbox.types import ScoreRefusedError
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.types import Isolation, ScoreRefusedError
+
+
+@pytest.fixture
+def level() -> Isolation:
+    """The strongest one: none of this depends on the layers."""
+    return probe().level
+
 
 ASKING = """
 import threading

@@ -16,6 +16,8 @@ from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.process import select_one
 from asia.problem import ParameterRange, Physics
 
+from .conftest import one_level
+
 GAIN = """
 import numpy as np
 
@@ -50,6 +52,7 @@ def failure(worker, case, source: str) -> CandidateError:
     return caught.value
 
 
+@one_level
 def test_the_candidate_gets_the_whole_context_and_read_only_records(worker, case):
     physics = Physics(("x",), {"x": "-k*x + u"}, {"k": ParameterRange(0.1, 1.0)})
     context = Context(
@@ -69,6 +72,7 @@ def test_the_candidate_gets_the_whole_context_and_read_only_records(worker, case
     assert reply.output.splitlines()[0] == "u [V] 2 40 mae 1.0 7 3 True second False"
 
 
+@one_level
 def test_a_refit_may_start_from_the_models_of_the_folds(worker, case):
     source = GAIN.replace(
         "    print(", "    print([m.gain.shape for m in context.fold_models()])\n    print("
@@ -81,6 +85,7 @@ def test_a_refit_may_start_from_the_models_of_the_folds(worker, case):
         assert reply.output.splitlines()[0] == expected
 
 
+@one_level
 def test_long_curve_is_thinned_evenly(worker, case):
     source = GAIN.replace("range(10)", "range(9001)")
     with worker() as one:
@@ -90,6 +95,7 @@ def test_long_curve_is_thinned_evenly(worker, case):
     assert set(np.diff(curve[:, 0])) == {8.0}
 
 
+@one_level
 def test_many_lines_of_the_sandbox_are_no_output_of_a_candidate(worker, case):
     lines = "import os;os.write(2, b'[mutex.cc : 1] RAW: Lock blocking 0x0\\n' * 4000)"
     source = GAIN.replace("print(", f"{lines};_ = (")
@@ -97,6 +103,7 @@ def test_many_lines_of_the_sandbox_are_no_output_of_a_candidate(worker, case):
         assert one.fit(source, case.trajectories, case.context).output == ""
 
 
+@one_level
 def test_output_is_kept_up_to_the_end_of_fit_and_cleaned(worker, case):
     source = GAIN.replace("print(", "print('\\x1b[31mred\\x07', 'x' * 100_000);print(").replace(
         "        return u",
@@ -125,6 +132,7 @@ def test_environment_is_fixed(worker, case, monkeypatch):
     assert "SECRET_KEY" not in seen.pop()
 
 
+@one_level
 def test_worker_imports_nothing_heavy(worker, case):
     source = GAIN.replace(
         "    print(",
@@ -139,6 +147,7 @@ def test_worker_imports_nothing_heavy(worker, case):
     assert output.splitlines()[0] == "[]"
 
 
+@one_level
 def test_jax_runs_under_the_default_memory_limit(worker, case):
     source = """
 import jax
@@ -166,6 +175,7 @@ def fit(trajectories, context):
     np.testing.assert_allclose(y[:, 0], expected, rtol=1e-5)
 
 
+@one_level
 @pytest.mark.parametrize(
     ("source", "reason", "words"),
     [
@@ -190,6 +200,7 @@ def test_each_failure_of_fit_has_its_reason_and_words(worker, case, source, reas
     assert "_child.py" not in error.detail
 
 
+@one_level
 @pytest.mark.parametrize(
     ("result", "reason", "words"),
     [
@@ -213,6 +224,7 @@ def test_each_failure_of_simulate_has_its_reason(worker, case, result, reason, w
     assert words in caught.value.detail
 
 
+@one_level
 def test_a_worker_that_failed_or_is_closed_answers_no_more(worker, case):
     one = worker()
     with pytest.raises(CandidateError):
@@ -264,6 +276,7 @@ def test_ending_one_worker_keeps_the_others(worker, case, level):
         bystander.wait()
 
 
+@one_level
 def test_workers_run_side_by_side_in_threads(worker, case):
     results: list[np.ndarray] = []
 
@@ -350,6 +363,7 @@ def _named(name: str) -> int:
     return count
 
 
+@one_level
 def test_long_records_are_read_only_and_long_cases_are_the_candidates_own(worker, case):
     rng = np.random.default_rng(1)
     u, y = rng.normal(size=(20_000, 1)), rng.normal(size=(20_000, 2))

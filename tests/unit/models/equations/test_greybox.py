@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cloudpickle
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -100,15 +99,6 @@ def test_a_case_does_not_depend_on_its_batch(duffing: greybox.GreyBox) -> None:
         np.testing.assert_allclose(together[i], duffing.simulate(*case)[0], rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.slow
-def test_same_seed_gives_bitwise_the_same_model(duffing_context: Context) -> None:
-    record = duffing_record(60, 2, NOISE)
-    method = LevenbergMarquardt(iterations=5, starts=2)
-    one = fitted(greybox.Config(residual=2), [record], duffing_context, method)
-    two = fitted(greybox.Config(residual=2), [record], duffing_context, method)
-    assert cloudpickle.dumps(one) == cloudpickle.dumps(two)
-
-
 def test_parameters_as_states_step_as_the_model_with_these_parameters(
     duffing: greybox.GreyBox,
 ) -> None:
@@ -147,18 +137,6 @@ def test_leaves_the_default_precision_alone(duffing: greybox.GreyBox) -> None:
     assert jnp.ones(1).dtype == jnp.float32
 
 
-@pytest.mark.slow
-def test_logs_a_falling_cost(duffing_context: Context) -> None:
-    points: list[tuple[float, float]] = []
-    context = replace(duffing_context, log=lambda step, loss: points.append((step, loss)))
-    method = LevenbergMarquardt(iterations=6, starts=1)
-    fitted(greybox.Config(), [duffing_record(60, 2)], context, method)
-    losses = [loss for _, loss in points]
-    assert len(points) > 2
-    assert losses == sorted(losses, reverse=True)
-    assert losses[-1] < losses[0]
-
-
 def tank_record(samples: int, seed: int) -> Trajectory:
     """Two tanks of which the upper one overflows at 4 into the lower one, by half."""
 
@@ -187,7 +165,7 @@ def test_finds_the_limit_and_the_spilled_fraction_of_a_full_tank() -> None:
     assert error(model, tank_record(200, 5)) < 0.3 * error(plain, tank_record(200, 5))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_finds_an_input_delay() -> None:
     record = duffing_record(200, 0, NOISE)
     context = context_for(DUFFING, "force", "y", 0.15)
@@ -224,7 +202,7 @@ def lag_record(seed: int) -> Trajectory:
     return Trajectory(u, x[:, 1:] + noise, 0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_linear_term_finds_a_coupling_that_the_equations_lack() -> None:
     physics = Physics(
         ("x1", "x2"),
@@ -239,20 +217,7 @@ def test_linear_term_finds_a_coupling_that_the_equations_lack() -> None:
     assert error(model, lag_record(1)) < 4 * NOISE
 
 
-@pytest.mark.slow
-def test_a_strong_ridge_holds_additions_at_no_effect(duffing_context: Context) -> None:
-    record = duffing_record(150, 0, NOISE)
-    plain = fitted(greybox.Config(), [record], duffing_context)
-    held = fitted(
-        greybox.Config(linear=True, residual=2, ridge=1e6, residual_ridge=1e6),
-        [record],
-        duffing_context,
-    )
-    case = split(duffing_record(80, 5))
-    np.testing.assert_allclose(held.simulate(*case), plain.simulate(*case), atol=1e-3)
-
-
-@pytest.mark.slow
+@pytest.mark.long
 def test_robust_loss_withstands_outliers(duffing_context: Context) -> None:
     record = duffing_record(200, 0, NOISE)
     spoiled = record.y.copy()
@@ -272,7 +237,7 @@ KINEMATICS = Physics(
 )
 
 
-@pytest.mark.parametrize(("n_past_u", "n_past_y"), [(0, 1), (3, 1), (1, 3), (0, 0)])
+@pytest.mark.parametrize(("n_past_u", "n_past_y"), [(0, 1), (1, 3)])
 @pytest.mark.slow
 def test_known_kinematics_with_two_inputs_and_outputs(n_past_u: int, n_past_y: int) -> None:
     context = context_for(
@@ -306,9 +271,7 @@ def first_error(model: greybox.GreyBox, n_past_u: int, n_past_y: int) -> float:
 
 # Without past inputs the velocity comes from the noisy outputs alone, and the input that acts up to
 # the first sample is a guess: at every change of the staircase it is wrong.
-@pytest.mark.parametrize(
-    ("n_past_u", "n_past_y", "times"), [(0, 5, 7.0), (3, 12, 2.0), (5, 12, 1.2)]
-)
+@pytest.mark.parametrize(("n_past_u", "n_past_y", "times"), [(0, 5, 7.0), (3, 12, 2.0)])
 @pytest.mark.slow
 def test_start_state_is_found_from_more_past_outputs_than_inputs(
     n_past_u: int, n_past_y: int, times: float, duffing: greybox.GreyBox, duffing_context: Context
@@ -320,7 +283,7 @@ def test_start_state_is_found_from_more_past_outputs_than_inputs(
     assert first_error(model, n_past_u, n_past_y) < times * first_error(duffing, 5, 5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_unit_of_the_output_does_not_matter() -> None:
     u = held_steps(150, 0, -1.0, 1.0)
     truth = simulated(lambda x, v: np.array([x[1], v[0] - 0.5 * x[1] - 2.0 * x[0]]), u, [1, 0], 0.2)

@@ -116,7 +116,7 @@ def test_the_validation_score_keeps_the_best_iterate() -> None:
     assert error(found, test) == asked[1] != asked[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_disturbance_is_bounded_and_trained() -> None:
     model = fitted(physics_net.Config(linear=True, lag=False, disturbance=True))
     assert error(model, record(9)) < 0.05
@@ -135,7 +135,7 @@ def test_what_it_cannot_be_used_on(change: dict[str, object], words: str) -> Non
         physics_net.build(physics_net.Config(), replace(CONTEXT, **change))  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_dropout_leaves_the_outputs_alone_and_bounds_hold() -> None:
     """With no step taken the network says nothing, whatever is dropped."""
     physics = replace(PHYSICS, bounds={"v": Bounds(max=0.1)})

@@ -83,7 +83,7 @@ def test_feedback_of_noise_biases_the_open_loop_fit_only(method: LoopMethod) -> 
 @pytest.mark.parametrize(
     ("pole", "method"),
     [
-        (1.0, "direct"),
+        pytest.param(1.0, "direct", marks=pytest.mark.long),
         (1.0, "two_stage"),
         (1.05, "direct"),
         pytest.param(1.05, "controller", marks=pytest.mark.long),
@@ -122,7 +122,7 @@ def test_a_reference_that_enters_at_the_plant() -> None:
     assert plant_error(fitted(measured, "controller"), 0.8) > 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_delay_is_found_and_lies_in_the_loop() -> None:
     rng = np.random.default_rng(0)
     r = np.repeat(rng.choice([-1.0, 1.0], 80), 10)
@@ -144,7 +144,7 @@ def test_a_delay_is_found_and_lies_in_the_loop() -> None:
     assert abs(model.fitted.system.a[0, 0] - 0.9) < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_explained_inputs_remove_the_bias_of_every_family() -> None:
     errors = list[tuple[float, float]]()
     for seed in range(2):

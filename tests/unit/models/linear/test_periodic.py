@@ -91,13 +91,7 @@ def test_order_and_response_of_three_by_three_are_found_from_lines() -> None:
     assert share_left(model, records(first=50)) < 0.025
 
 
-@pytest.mark.slow
-def test_fewer_realisations_than_inputs_are_enough() -> None:
-    model = fitted(linear.Config(periodic=True), records()[:2])
-    assert share_left(model, records(first=50)) < 0.03
-
-
-@pytest.mark.slow
+@pytest.mark.long
 def test_records_without_a_period_are_fitted_as_before() -> None:
     rng = np.random.default_rng(3)
     u = rng.standard_normal((300, CHANNELS))
@@ -139,7 +133,7 @@ def test_blocks_keep_real_and_outer_poles() -> None:
     assert resolvent(found[0], z, np.ones((3, 1))) == pytest.approx(full)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_system_for_each_level_is_far_better_where_they_differ() -> None:
     data = [*records(1.0), *records(2.0, shift=0.03, first=10)]
     fresh = [*records(1.0, first=50), *records(2.0, shift=0.03, first=60)]

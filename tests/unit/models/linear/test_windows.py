@@ -74,7 +74,7 @@ def test_unstable_system_is_followed_over_the_horizon(runs, context):
     assert logged
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_state_may_hold_several_past_samples(runs, context):
     angle = [Trajectory(t.u, t.y[:, :1], 0.1, t.name) for t in runs]
     context = replace(context, outputs=context.outputs[:1], n_past_u=3, n_past_y=4)

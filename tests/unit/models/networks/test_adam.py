@@ -205,7 +205,7 @@ def test_teacher_forcing_learns_from_a_start_whose_simulation_diverges() -> None
     assert not error(found[1], data[0]) < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_probability_of_the_teacher_falls_from_its_start_to_its_end() -> None:
     data = records(100)
     methods = [
@@ -325,7 +325,7 @@ def test_robust_loss_is_less_moved_by_an_outlier() -> None:
     assert found[2] == pytest.approx(1.0, abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_dropout_acts_in_training_alone_and_keeps_the_mean() -> None:
     data = records(200, a=0.0)
     zeros = {"out_w": np.zeros((4, 1), np.float32), "out_b": np.zeros(1, np.float32)}

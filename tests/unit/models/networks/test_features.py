@@ -8,7 +8,7 @@ import pytest
 
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.models import lru
+from asia.models import cnn
 from asia.models._networks.structure import FUNCTIONS, Features, drive_size
 from asia.models._numerics.scaling import Scaling
 
@@ -43,5 +43,5 @@ def test_an_input_at_rest_gives_finite_features(name: str) -> None:
 
 
 def test_an_unknown_function_is_refused() -> None:
-    with pytest.raises(UserError, match=r"lru\.Config: feature 'sqare' is unknown"):
-        lru.Config(features=("sqare",))
+    with pytest.raises(UserError, match=r"cnn\.Config: feature 'sqare' is unknown"):
+        cnn.Config(features=("sqare",))

@@ -74,7 +74,7 @@ def test_uniform_start_and_linear_ends_are_what_they_say() -> None:
     np.testing.assert_allclose(trained.params["out_w"], p["out_w"], atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_coupled_decay_acts_through_the_gradient() -> None:
     data = case(wiener, lengths=(100,))
     model = ltc.build(ltc.Config(hidden=4), data.context)

@@ -11,7 +11,7 @@ import pytest
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
-from asia.models import linear, subnet
+from asia.models import subnet
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, two_by_two, wiener
 
@@ -25,17 +25,6 @@ def test_training_learns_the_system() -> None:
 
 
 @pytest.mark.long
-def test_it_starts_at_the_best_linear_model() -> None:
-    data = case(wiener)
-    config = linear.Config(order=2)
-    best = linear.train(linear.build(config, data.context), data.training, data.context)
-    model = subnet.build(subnet.Config(states=2), data.context)
-    method = Adam(steps=1, learning_rate=1e-9, truncation=8)
-    trained = subnet.train(model, data.training, data.context, method)
-    np.testing.assert_allclose(data.simulated(trained), data.simulated(best), atol=1e-3)
-
-
-@pytest.mark.slow
 def test_with_a_horizon_it_starts_from_a_state_of_last_outputs() -> None:
     data = case(two_by_two, channels=2)
     context = replace(data.context, n_past_u=0, n_past_y=1, horizon=12)

@@ -28,7 +28,7 @@ from asia.models.methods import Adam
 from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
 from asia.search.run import search_context
-from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two, wiener
+from tests.unit.models.systems.black_box import Case, case, wiener
 
 
 def fitted(
@@ -57,13 +57,6 @@ def test_wiener_system_is_simulated_below_the_noise(options: dict[str, Any]) -> 
     assert data.ratio(model) < min(1.0, 0.5 * data.ratio(line))
 
 
-@pytest.mark.slow
-def test_a_few_channels_suffice_for_a_function_of_one_signal() -> None:
-    data = case(lambda u: filtered(np.tanh(2 * u)), lengths=(800,))
-    config = neural_ss.Config(order=2, channels=1)
-    assert data.ratio(fitted(config, data, LevenbergMarquardt(60, starts=2))) < 1.0
-
-
 @pytest.mark.parametrize("place", ["state", "modal"])
 def test_no_iterations_leave_the_linear_model(place: Any) -> None:
     data = case(wiener, lengths=(150, 90))
@@ -86,7 +79,7 @@ def softening(u: np.ndarray, turn: float = 0.6, soft: float = 0.001) -> np.ndarr
     return y
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
     data = case(softening, lengths=(600,))
     method = LevenbergMarquardt(60)
@@ -146,15 +139,6 @@ def test_no_model_is_kept_that_is_lost_from_the_states_of_past_windows() -> None
 
 
 @pytest.mark.long
-def test_delay_and_two_channels() -> None:
-    data = case(late, lengths=(300,))
-    model = fitted(neural_ss.Config(order=2, delay=None), data, LevenbergMarquardt(5))
-    assert data.ratio(model) < 1.0
-    data = case(two_by_two, channels=2, lengths=(200, 90))
-    assert data.ratio(fitted(neural_ss.Config(order=3), data, LevenbergMarquardt(5))) < 1.0
-
-
-@pytest.mark.slow
 def test_adam_improves_on_the_linear_start() -> None:
     data = case(wiener)
     before = fitted(neural_ss.Config(order=2), data, LevenbergMarquardt(0))
@@ -189,7 +173,7 @@ def test_members_are_the_best_fits_and_answer_by_their_median() -> None:
     assert len({y.tobytes() for y in apart}) == 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fits_are_ranked_by_their_error_from_past_windows() -> None:
     """The slow state of this system hides errors of the fit from its own initial state."""
     rng, n = np.random.default_rng(11), 160

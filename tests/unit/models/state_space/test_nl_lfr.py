@@ -27,7 +27,7 @@ from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
 from asia.search.run import search_context
 from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener
-from tests.unit.models.systems.fitting import against_holding, fitted
+from tests.unit.models.systems.fitting import fitted
 
 METHOD = LevenbergMarquardt(40, starts=2)
 
@@ -104,20 +104,6 @@ def test_own_systems_are_simulated_far_better_than_by_a_linear_model(name: str) 
     assert data.ratio(model) < 0.25 * data.ratio(line)
 
 
-@pytest.mark.long
-def test_the_order_is_found() -> None:
-    """A linear model asks for more states than the system has, and for a delay."""
-    data = case(spring, lengths=(600,), noise=0.02)
-    model = fitted(nl_lfr, nl_lfr.Config(), data, METHOD)
-    assert model.fitted is not None
-    assert model.fitted.structure.order < 4
-    assert model.fitted.delay == 0
-    # The cubic spring is left to extrapolate: the new record reaches beyond the training one.
-    line = fitted(linear, linear.Config(), data, None)
-    assert np.abs(data.unseen.y - 5.0).max() > np.abs(data.training[0].y - 5.0).max()
-    assert data.ratio(model) < 0.25 * data.ratio(line)
-
-
 def test_the_functions_go_on_as_straight_lines_beyond_the_records() -> None:
     data = case(spring, lengths=(300,), noise=0.02)
     model = fitted(nl_lfr, nl_lfr.Config(order=2), data, LevenbergMarquardt(iterations=8))
@@ -153,7 +139,7 @@ def test_a_fit_of_growing_outputs_stays_stable_with_the_stability_term(held: boo
     assert StabilityTerm.of(np.array([[1.0]]), length, 1.0) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_mode_follows_the_drift_of_a_record() -> None:
     data = case(lambda u: filtered(u) + np.linspace(-0.7, 0.7, len(u))[:, None] ** 2)
     every = [
@@ -172,7 +158,7 @@ def test_no_mode_follows_the_drift_of_a_record() -> None:
     assert np.abs(np.linalg.eigvals(a)).max() < slow
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not os.environ.get("ASIA_DATA_DIR"), reason="needs records of a hair dryer")
 def test_the_fit_that_is_kept_simulates_from_past_windows() -> None:
     """The fit with the least cost has a state that does not decay, and is lost from any initial
@@ -187,7 +173,7 @@ def test_the_fit_that_is_kept_simulates_from_past_windows() -> None:
         assert np.sqrt(((y - block.y) ** 2).mean()) < 0.2 * block.y.std()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_product_of_state_and_input_takes_two_channels() -> None:
     data = case(heated, lengths=(600,), noise=0.02)
     two = fitted(nl_lfr, nl_lfr.Config(order=1, channels=2), data, METHOD)
@@ -204,7 +190,7 @@ def test_two_inputs_and_outputs_and_missing_samples() -> None:
     np.testing.assert_array_equal(data.simulated(model), data.simulated(again))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_free_integrator_is_not_read() -> None:
     data = case(lambda u: np.cumsum(np.clip(u, -0.5, 1.0), axis=0) * 0.05, lengths=(400,))
     config = nl_lfr.Config(order=2, integrators=1, hidden=6)
@@ -215,12 +201,6 @@ def test_a_free_integrator_is_not_read() -> None:
     assert read.shape == (order - 1 + 1, 1)
     line = fitted(linear, linear.Config(order=2, integrators=1), data, None)
     assert data.ratio(model) < 0.7 * data.ratio(line)
-
-
-@pytest.mark.long
-def test_windows_from_one_measured_state() -> None:
-    config = nl_lfr.Config(order=3, channels=2, hidden=4)
-    assert against_holding(nl_lfr, config, LevenbergMarquardt(3, starts=1), runs=3) < 0.8
 
 
 def test_without_training_it_says_so() -> None:

@@ -100,7 +100,7 @@ def test_pieces_of_short_records(family: Any, config: Any, samples: int) -> None
     assert np.isfinite(y).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_delay_that_only_the_linear_model_sees_is_not_kept() -> None:
     record = duffing_record(200, 7, noise=0.01)
     context = context_for(None, "u", "y", 0.15, seed=1)

@@ -7,9 +7,10 @@ import pytest
 
 import asia
 from asia.data import Array
+from asia.data.preprocess import Preparation
 from asia.ledger.events import TestedModel as Recorded
 from asia.ledger.run import Run
-from asia.problem.create import Preparation, init_problem
+from asia.problem.create import init_problem
 from asia.report.files import write_report
 
 DELAY, STEP = 3, 0.1

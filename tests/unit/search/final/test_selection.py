@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from asia.data import Array
-from asia.ledger.events import Fit, RefitCheck, Stack, StackMember
-from asia.search.final import MOST_MEMBERS, NEAR, FinalEvidence, choose_model, stack_weights
+from asia.ledger.events import Use
+from asia.search.final import MOST_MEMBERS, NEAR, choose_model, stack_weights
 
 values = arrays(
     float, st.tuples(st.integers(1, 4), st.integers(1, 30)), elements=st.floats(0, 1e300)
@@ -38,39 +38,28 @@ def test_weights_are_inverse_to_the_fourth_power_of_v() -> None:
 # The model to use.
 
 
-def evidence(
-    refit: float, ensemble: float, disagreement: float, stack: float | None = None, folds: int = 3
-) -> FinalEvidence:
-    start = Fit(0, "refit", refit, disagreement=disagreement)
-    check = RefitCheck((ensemble,) * folds, ensemble, disagreement, (start,), 1)
-    members = StackMember(2, 0.6), StackMember(3, 0.4)
-    made = None if stack is None else Stack(members, stack, (stack,) * folds)
-    return FinalEvidence(value=1.0, check=check, detail="", stack=made)
+ONE = np.array([1.0, 1.2, 0.8, 1.0, 1.1, 0.9])
+"""Errors of the best candidate on parts of the held-out records."""
+FAR = np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
-    ("found", "model"),
+    ("single", "stack", "use"),
     [
-        # The last third of the data made the refit better.
-        (evidence(refit=0.6, ensemble=1.0, disagreement=0.5, stack=1.1), "refit"),
-        # A little better is not enough: the fold models were chosen by V, the refit was not.
-        (evidence(refit=0.9, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
-        # It did not: the error is that of the structure, which means reduce.
-        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
-        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.3), "ensemble"),
-        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5), "ensemble"),
-        # Nothing to gain from a mean.
-        (evidence(refit=1.0, ensemble=1.0, disagreement=0.1, stack=1.0), "refit"),
-        # With two folds a fold model has seen half of the data.
-        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.1, folds=2), "refit"),
-        (evidence(refit=1.2, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
-        (evidence(refit=1.2, ensemble=1.0, disagreement=0.5, stack=1.1, folds=2), "ensemble"),
-        (evidence(refit=0.6, ensemble=1.0, disagreement=0.5, stack=0.7), "stack"),
+        (ONE, None, "refit"),
+        (ONE, ONE + 0.2, "refit"),
+        # Better by less than its standard error.
+        (ONE, ONE - np.array([0.3, -0.3, 0.2, -0.1, 0.1, 0.0]), "refit"),
+        (ONE, ONE - 0.2, "stack"),
+        # The best candidate diverges in a single part, or the stack does.
+        (ONE + FAR, ONE, "stack"),
+        (ONE, ONE + FAR, "refit"),
     ],
 )
-def test_the_model_to_use_follows_what_data_and_means_are_worth(
-    found: FinalEvidence, model: str
+def test_a_stack_is_used_where_it_is_better_than_one_standard_error(
+    single: Array, stack: Array | None, use: Use
 ) -> None:
-    chosen = choose_model(found)
-    assert chosen.model == model
-    assert chosen.reason.endswith(".")
+    assert choose_model(single, stack).model == use
+    without = choose_model(single, stack, "the refit diverged")
+    assert without.model == ("ensemble" if use == "refit" else use)
+    assert use == "stack" or without.reason == "The refit diverged."

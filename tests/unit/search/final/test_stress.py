@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from asia.analysis.verdict import usability
 from asia.data import Trajectory
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import StressTest, Use
 from asia.ledger.run import ModelToUse
-from asia.ledger.verdict import usability
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem
 from asia.problem.protocol import ProtocolRule

@@ -3,10 +3,10 @@
 from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import LIKELY, Card, Move
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.view import Facts
+from asia.recipe import Arguments, Recipe
 
 
 def _searchable(facts: Facts) -> bool:

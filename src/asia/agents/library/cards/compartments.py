@@ -3,12 +3,12 @@
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import fails_on_top
 from asia.agents.view import Facts
 from asia.data.statistics import plateau_share
+from asia.recipe import Arguments, Recipe
 
 
 def _saturates(facts: Facts) -> bool:
@@ -77,27 +77,11 @@ CARD = Card(
             expected="A lower V; the curvature in the residual disappears.",
         ),
         Move(
-            name="run-off with the root of the content",
-            evidence=lambda c: c.recipe.get("outflow") == "power",
-            change=lambda c: c.recipe.configured(outflow="root"),
-            hypothesis="A free outflow is proportional to the square root of the level: fewer "
-            "parameters to fit.",
-            expected="About the same training error and a lower V, if the law is right.",
-        ),
-        Move(
             name="one storage more",
             evidence=lambda c: _count(c) < 4,
             change=lambda c: c.recipe.configured(count=_count(c) + 1),
             hypothesis="The output responds later than this number of storages does.",
             expected="A whiter residual just after steps of the input.",
-        ),
-        Move(
-            name="network in the balances",
-            evidence=lambda c: not c.recipe.get("residual"),
-            change=lambda c: c.recipe.configured(residual=4, residual_ridge=5e-2),
-            hypothesis="A small regularised network adds the effects that are missing in the "
-            "outflow laws.",
-            expected="A lower training error; lower V only if the effect is real.",
         ),
         slow_noise(),
     ),

@@ -8,7 +8,6 @@ from asia.agents.library.equation_moves import (
 from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import (
@@ -19,6 +18,7 @@ from asia.agents.library.trial_evidence import (
 )
 from asia.agents.view import Facts
 from asia.data.statistics import plateau_share
+from asia.recipe import Recipe
 
 
 def _start(facts: Facts) -> Recipe:

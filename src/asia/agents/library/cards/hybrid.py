@@ -3,8 +3,8 @@
 from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Card
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
+from asia.recipe import Recipe
 
 CARD = Card(
     (

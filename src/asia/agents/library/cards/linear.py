@@ -13,11 +13,11 @@ from asia.agents.library.methods import (
     slow_noise,
 )
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space
 from asia.agents.library.traits import periodic
 from asia.agents.view import Facts
 from asia.data.statistics import delays, several_levels
+from asia.recipe import Arguments, Recipe
 
 # Share of the error for which another state is taken.
 _FINER = 0.005

@@ -14,10 +14,10 @@ from asia.agents.library.methods import (
     symmetry_space,
 )
 from asia.agents.library.move import Card
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import Trait
 from asia.agents.view import Facts
+from asia.recipe import Arguments, Recipe
 
 # Multiple shooting can set the state of networks that step through time. Others map a whole record
 # at once.
@@ -225,26 +225,6 @@ _SUBNET = _network(
     timing=Timing(start=3.9, unit=4.3e-07),
 )
 
-# Its states are stable: they cannot add up.
-_LRU = _network(
-    "lru",
-    "linear recurrent units",
-    "stable linear states between static networks: long memories, long records",
-    3,
-    (("long", 3), ("windows", -1)),
-    config=(("layers", 2), ("states", 16), ("width", 16)),
-    vary=(
-        OneOf("layers", (1, 2, 3)),
-        OneOf("states", (8, 16, 32)),
-        OneOf("width", (8, 16, 32)),
-        OneOf("tau_max", (30.0, 100.0, 300.0)),
-    ),
-    small=(("layers", 1), ("states", 2), ("width", 4)),
-    rate=3e-3,
-    cost="heavy",
-    methods=_WHOLE_RECORD,
-    against=_INTEGRATING,
-)
 _KOOPMAN = _network(
     "koopman",
     "Koopman model",
@@ -305,7 +285,6 @@ CARD = Card(
         _LTC,
         _CASCADED_LTC,
         _SUBNET,
-        _LRU,
         _KOOPMAN,
         _CNN,
         _TRANSFORMER,

@@ -11,12 +11,12 @@ from asia.agents.library.methods import (
     symmetry_space,
 )
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts
 from asia.data.statistics import Cause, switching, transport
+from asia.recipe import Arguments, Recipe, Value
 
 
 def _start(facts: Facts) -> Recipe:
@@ -129,7 +129,7 @@ def _static(at: Situation, place: str) -> int:
     drifts = place != "input" and bool(at.recipe.number("integrators", 0))
     if at.recipe.get("nonlinearity") == place or drifts:
         return 0
-    return POSSIBLE if _has_lfr(at) or place == "both" else LIKELY
+    return POSSIBLE if _has_lfr(at) else LIKELY
 
 
 def _moved_to(at: Situation, place: str) -> Recipe:
@@ -317,25 +317,6 @@ CARD = Card(
             evidence=lambda c: _static(c, "input"),
             change=lambda c: _moved_to(c, "input"),
             hypothesis="The system may be linear with a static function before it (Hammerstein).",
-            expected="A lower V at the same training error, if the structure is right.",
-        ),
-        Move(
-            name="static functions on both sides",
-            evidence=lambda c: _static(c, "both"),
-            change=lambda c: _moved_to(c, "both"),
-            hypothesis="Static functions before and after a linear system (Hammerstein-Wiener).",
-            expected="A lower V than either alone, if the structure is right.",
-        ),
-        Move(
-            name="static function in feedback",
-            evidence=lambda c: (
-                c.recipe.get("nonlinearity") == "state"
-                and not c.recipe.get("channels")
-                and not _is_lpv(c)
-            ),
-            change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
-            hypothesis="One signal passes one static function in the feedback of a linear system "
-            "(a hardening spring, a saturating actuator in a loop): fewer weights suffice.",
             expected="A lower V at the same training error, if the structure is right.",
         ),
         slow_noise(),

@@ -10,11 +10,11 @@ from asia.agents.library.methods import (
     slow_noise,
 )
 from asia.agents.library.move import LIKELY, POSSIBLE, Card, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured
 from asia.agents.view import Facts
+from asia.recipe import Arguments, Recipe
 
 
 def _nl_lfr(facts: Facts) -> Recipe:

@@ -5,10 +5,10 @@ from functools import partial
 from asia.agents.library.family import GENTLE_STEPS, Family, Timing, steps
 from asia.agents.library.methods import LM, absolute_loss, adam_space
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import names_places
 from asia.agents.view import Facts, Trial
+from asia.recipe import Arguments, Recipe
 
 
 def _space(facts: Facts) -> Space:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import LIKELY, POSSIBLE, Card, Move
-from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space
 from asia.agents.library.trial_evidence import coloured
+from asia.recipe import Recipe
 
 _MOVES = (
     Move(

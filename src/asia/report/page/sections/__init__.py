@@ -5,21 +5,19 @@ A new section is a `Section` in one of these modules and a line here.
 
 from __future__ import annotations
 
-from typing import Final
+from functools import cache
 
-from asia.report.page.sections import closed_loop, evidence, experiments, integrity, verdict
-from asia.report.page.subject import Section
+from asia._plugins import ordered
+from asia.report.page.sections import evidence, experiments, integrity, verdict
+from asia.report.page.subject import Section, plugged_sections
 
-SECTIONS: Final[tuple[Section, ...]] = (
+_OWN = (
     verdict.SECTION,
     experiments.PROBLEM,
     experiments.MODEL,
     evidence.IDENTIFIED,
     evidence.LINEAR,
-    evidence.CONTROL,
-    evidence.CERTIFICATE,
     verdict.ACCURACY,
-    closed_loop.SECTION,
     evidence.VALIDATION,
     evidence.CONFIRMATION,
     verdict.TESTED,
@@ -33,3 +31,11 @@ SECTIONS: Final[tuple[Section, ...]] = (
     integrity.SECTION,
     integrity.REPRODUCE,
 )
+
+
+@cache
+def page_sections() -> tuple[Section, ...]:
+    """Return the sections of this package and of plug-ins, in their order."""
+    others = {one.key: one.after for one in plugged_sections()}
+    by_key = {one.key: one for one in (*plugged_sections(), *_OWN)}
+    return tuple(by_key[key] for key in ordered([one.key for one in _OWN], others))

@@ -95,12 +95,9 @@ VALIDATION = Section("validation", "Validation", _validation)
 
 LINEAR_FILE: Final = Path("linear", "linear.json")
 """File of `asia linear` in the folder of a run."""
-_MOST_BYTES = 4_000_000
+MOST_BYTES: Final = 4_000_000
+"""Most bytes of a file that a section reads."""
 _DRAWN: TypeAdapter[tuple[DrawnCheck, ...]] = TypeAdapter(tuple[DrawnCheck, ...])
-
-
-CONTROL_FILE: Final = Path("control", "control.json")
-"""File of `asia control` in the folder of a run."""
 
 
 def _complex(values: Sequence[Mapping[str, float]]) -> NDArray[np.complex128]:
@@ -113,7 +110,7 @@ def _command(subject: Subject, file: Path, command: str) -> dict[str, Any] | Non
     if not path.exists():
         return None
     remedy = f"run {command} again"
-    content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
+    content = read_file(path, remedy) if path.stat().st_size <= MOST_BYTES else b""
     try:
         found = json.loads(content)
         lines, drawn = [str(one) for one in found["text"]], _DRAWN.validate_python(found["drawn"])
@@ -130,48 +127,15 @@ def _command(subject: Subject, file: Path, command: str) -> dict[str, Any] | Non
     return {"command": command, "refused": None, "lines": lines, "drawn": shown}
 
 
-LINEAR = Section(
-    "linear", "Linear models", partial(_command, file=LINEAR_FILE, command="asia linear")
-)
-CONTROL = Section(
-    "control", "Control", partial(_command, file=CONTROL_FILE, command="asia control")
-)
+def command_section(key: str, title: str, file: Path, command: str, **options: Any) -> Section:
+    """Make the section of a command from the text and the pictures in its file.
+
+    Args:
+        file: path in the folder of a run
+        options: other fields of the section
+    """
+    content = partial(_command, file=file, command=command)
+    return Section(key, title, content, "command.html", files=(file,), **options)
 
 
-# The certificate: what `asia certify` wrote next to the ledger.
-
-
-CERTIFICATE_FILE: Final = Path("certificate.json")
-"""File of `asia certify` in the folder of a run."""
-LOOP_CERTIFICATE_FILE: Final = CONTROL_FILE.with_name("certificate.json")
-"""File of `asia certify --loop` there."""
-
-
-def _certificates(subject: Subject) -> dict[str, Any] | None:
-    folder = subject.run.directory
-    found = [
-        (command, *_certificate(folder / file, command))
-        for file, command in (
-            (CERTIFICATE_FILE, "asia certify"),
-            (LOOP_CERTIFICATE_FILE, "asia certify --loop"),
-        )
-        if (folder / file).exists()
-    ]
-    return {"certificates": found} if found else None
-
-
-def _certificate(path: Path, command: str) -> tuple[str, list[str]]:
-    """Return why a file cannot be shown, else its lines."""
-    remedy = f"run {command} again"
-    try:
-        content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
-        found = json.loads(content)
-        rows = [["proven", str(one["text"])] for one in found["statements"]]
-        rows += [["open", str(one)] for one in found["missed"]]
-        rows += [["assumption", str(one)] for one in found["assumptions"]]
-    except (ValueError, TypeError, LookupError):
-        return f"{path.name} is no file of this version: {remedy}.", []
-    return "", [f"{kind:16}{text}" for kind, text in rows]
-
-
-CERTIFICATE = Section("certificate", "Certificate", _certificates)
+LINEAR = command_section("linear", "Linear models", LINEAR_FILE, "asia linear")

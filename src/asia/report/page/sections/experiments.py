@@ -217,18 +217,16 @@ COSTS: Final = (
     "numbers in the model",
     "microseconds a sample",
     "seconds of fit",
-    "proven bound of the gain",
-    "cost of the closed loop (IAE)",
 )
-"""Name of each cost."""
+"""Name of each cost that every experiment has."""
 
 
-def cost_of(subject: Subject, e: Experiment, axis: int) -> tuple[float, str] | None:
+def cost_of(subject: Subject, e: Experiment, name: str) -> tuple[float, str] | None:
     """A cost of an experiment over its folds, as a number and as a text; None if not known."""
-    if axis > 2:
-        value = subject.analysed[("certificate", "control")[axis - 3]].get(e.number)
+    if name not in COSTS:
+        value = subject.costs[name].get(e.number)
         return None if not value else (value, f"{value:.3g}")
-    folds = result_of(e).folds
+    axis, folds = COSTS.index(name), result_of(e).folds
     if axis == 2:
         values: list[float | None] = [fold.fit_seconds for fold in folds]
     elif any(fold.findings is None for fold in folds) or not subject.run.store.kept:
@@ -250,11 +248,12 @@ def _tradeoff(subject: Subject) -> dict[str, Any] | None:
     scored = [e for e in subject.view.finished if e.score is not None]
     figures: list[tuple[int, str, Markup]] = []
     fronts: dict[int, Experiment] = {}
-    for axis, name in enumerate(COSTS):
+    names = [*COSTS, *subject.costs]
+    for axis, name in enumerate(names):
         points = [
             Traded(e.number, e.proposed.title, e.score.value, found[0])
             for e in scored
-            if e.score is not None and (found := cost_of(subject, e, axis)) is not None
+            if e.score is not None and (found := cost_of(subject, e, name)) is not None
         ]
         if len(points) < 2:
             continue
@@ -265,14 +264,11 @@ def _tradeoff(subject: Subject) -> dict[str, Any] | None:
         figures.append((axis, name, picture(draw, alt)))
     if not figures:
         return None
-    rows = [
-        (e, [cost_of(subject, e, axis) for axis in range(len(COSTS))])
-        for _, e in sorted(fronts.items())
-    ]
-    known = [k for k in range(len(COSTS)) if any(costs[k] for _, costs in rows)]
+    rows = [(e, [cost_of(subject, e, name) for name in names]) for _, e in sorted(fronts.items())]
+    known = [k for k in range(len(names)) if any(costs[k] for _, costs in rows)]
     return {
         "figures": figures,
-        "names": [COSTS[k] for k in known],
+        "names": [names[k] for k in known],
         "rows": [(e, [(costs[k] or (0, ""))[1] for k in known]) for e, costs in rows],
     }
 

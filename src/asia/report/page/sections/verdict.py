@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from asia._text import one_line
 from asia._timer import duration
+from asia.analysis.verdict import alarms, unguarded, usability
 from asia.judge.evaluation.references import CONTROLLERS
 from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.outcome import Score
@@ -17,7 +18,6 @@ from asia.ledger.events import TestedModel, Unsealed, Use
 from asia.ledger.evidence import identified
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.simulated import final_models
-from asia.ledger.verdict import alarms, unguarded, usability
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.experiments import fold_blocks
 from asia.presentation.results import (

@@ -34,21 +34,6 @@ def kept() -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_model_that_keeps_to_the_form_is_able(asia: Asia, server: FakeServer) -> None:
-    server.answers = [said(arx(2)), said(arx(3))]
-    done = asia("agent", "check", "--base-url", server.url, "--steps", 2)
-    assert done.code == 0, done.err
-    assert f"made-up at {server.url}: able" in done.out
-    assert "2 of 2 at once" in done.out
-    assert f"{PROMPT_TOKENS + REPLY_TOKENS} per step" in done.out
-    report = kept()
-    assert report["verdict"] == "able"
-    assert report["scored"] == report["at_once"] == report["answers"] == 2
-    assert report["best"] < report["baseline"]
-    assert {request["model"] for request in server.asked} == {"made-up"}
-
-
-@pytest.mark.slow
 def test_repairs_are_counted_with_what_was_wrong(asia: Asia, server: FakeServer) -> None:
     server.answers = [said(BROKEN), said(arx(2)), said(CRASH), said(arx(3))]
     options = ("--base-url", server.url, "--model", "mine", "--steps", 3, "--json")

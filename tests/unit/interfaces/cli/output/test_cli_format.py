@@ -19,7 +19,7 @@ def test_numbers() -> None:
     assert [duration(s) for s in (6.6, 185.0, 3720.0)] == ["7s", "3m05s", "1h02m"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_simulation_that_ran_away_keeps_to_its_column(searched: Searched) -> None:
     view = open_run(searched.directory).view
     (experiment,) = view.finished

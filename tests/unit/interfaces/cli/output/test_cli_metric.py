@@ -61,7 +61,7 @@ def test_a_metric_of_a_package_from_check_to_report(
     assert re.search(r"ensemble of the fold models  +agreement [5-9]\d\.\d+", test.out)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_the_package_the_run_can_still_be_looked_at(
     run: tuple[Path, Done, Done], asia: Asia, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,7 +21,7 @@ def candidate(number: int, value: float, best: int, worst: int) -> ConfirmedCand
 
 
 FOUND = Confirmed(
-    winner=12,
+    best=12,
     seeds=5,
     tried=15,
     level=0.95,
@@ -55,9 +55,9 @@ def test_words_that_a_person_understands() -> None:
     ("found", "words"),
     [
         (FOUND, "#12 and #09 are statistically equal"),
-        (replace(FOUND, winner=9, pairs=FOUND.pairs[1:]), "#09 is confirmed"),
-        (replace(FOUND, winner=3), "#03 is not confirmed: #09 and #12 are better"),
-        (replace(FOUND, winner=7), "#07 is not confirmed: it was not repeated"),
+        (replace(FOUND, best=9, pairs=FOUND.pairs[1:]), "#09 is confirmed"),
+        (replace(FOUND, best=3), "#03 is not confirmed: #09 and #12 are better"),
+        (replace(FOUND, best=7), "#07 is not confirmed: it was not repeated"),
         (replace(FOUND, failed=(12,)), "failed with every other seed"),
         (replace(FOUND, candidates=FOUND.candidates[1:2], pairs=()), "the only candidate repeated"),
     ],
@@ -86,9 +86,9 @@ def test_the_command_tells_progress_and_result_and_status_and_show_repeat_it(
     found = json.loads(
         asia("validate", searched.name, "--repeat", "--seeds", 2, "--json", *runs).out
     )
-    assert (found["winner"], found["new"]) == (1, False)
+    assert (found["best"], found["new"]) == (1, False)
     status = json.loads(asia("status", searched.name, "--json", *runs).out)
-    assert status["confirmed"]["winner"] == 1
+    assert status["confirmed"]["best"] == 1
     assert asia("verify", searched.name, *runs).code == 0
 
 

@@ -104,7 +104,7 @@ def test_a_jail_that_cannot_be(
     assert not Path("work").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_jail
 def test_the_program_has_a_terminal_of_its_own(tmp_path: Path) -> None:
     """Keys reach it, Ctrl-C too, and its terminal is the one that controls it."""

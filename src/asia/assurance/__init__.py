@@ -1,1 +1,0 @@
-"""Assurance: benchmark comparisons."""

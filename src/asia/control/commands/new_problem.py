@@ -1,0 +1,56 @@
+"""asia init --control: the problem of a search for a controller, from a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
+
+import typer
+
+from asia._text import say
+from asia.errors import UserError
+from asia.interfaces.cli.init import split_at_commas
+from asia.interfaces.cli.options import (
+    DEFAULT_RUNS,
+    CandidateLevel,
+    Runs,
+    candidate_level,
+    run_directory,
+)
+
+# Options of asia init on records, which a run has already.
+_OF_RECORDS = ("train", "sampling_time", "test", "time", "columns", "test_experiments", "delay")
+
+
+def problem_options(
+    command: Callable[[], None],
+    given: Mapping[str, Any],
+    *,
+    control: Annotated[
+        str | None,
+        typer.Option(
+            help="Run whose models become the plant of a search for a controller. --inputs are "
+            "those of the controller, others disturbances; --outputs those with a set point."
+        ),
+    ] = None,
+    isolation: CandidateLevel = None,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """asia init NAME --control RUN writes the problem of a search for a controller: the models of
+    the run are the plant, and the ranges of its records the limits."""
+    if control is None:
+        command()
+        return
+    changed = given["seal"] or given["detrend"] or given["scale"] or given["decimate"] != 1
+    if changed or any(given[name] is not None for name in _OF_RECORDS):
+        raise UserError("--control takes the records of the run: give --inputs, --outputs only")
+    from asia.control.control_problem import control_problem_of_run
+
+    made = control_problem_of_run(
+        given["name"], run_directory(runs, control), split_at_commas(given["inputs"] or ()),
+        split_at_commas(given["outputs"] or ()), isolation=candidate_level(isolation),
+    )  # fmt: skip
+    for line in made.lines:
+        say(line)
+    say(f"wrote    {made.path}")
+    say(f"next     asia run {given['name']}")
