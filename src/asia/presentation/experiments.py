@@ -1,15 +1,20 @@
 """Experiments of a search in words: result, decision, what is compared with them."""
 
 import re
+from collections.abc import Iterable, Iterator, Sequence
 from statistics import fmean
+from typing import Any
 
 from asia._text import one_line
+from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.confirmation import Confirmation
+from asia.judge.scoring.outcome import Outcome, Score
 from asia.judge.scoring.repeated_fits import RANKED
-from asia.ledger.events import Evaluated, Phase, Stack, StressTest, Validated
+from asia.ledger.events import Evaluated, Phase, StressTest, Validated
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.view import Experiment, SearchView
-from asia.presentation.table import error_value
+from asia.presentation.table import Block, Table, error_decimals, error_value
+from asia.problem.metrics import find_metric
 
 
 def confirmation_text(found: Confirmation) -> str:
@@ -79,11 +84,6 @@ def seed_mean_words(e: Experiment) -> str:
     """`mean of 3 seeds 0.1312`, which decides whether its method is kept; "" for a single fit."""
     values = e.seed_values
     return f"mean of {len(values)} seeds {error_value(fmean(values))}" if len(values) > 1 else ""
-
-
-def stack_words(stack: Stack) -> str:
-    """`#07 0.62, #03 0.38`: the members and their weights."""
-    return ", ".join(f"#{m.experiment:02d} {m.weight:.2f}" for m in stack.members)
 
 
 def method_note(view: SearchView) -> str:
@@ -186,3 +186,143 @@ def decision_text(e: Experiment, view: SearchView) -> str:
     if e.unconfirmed:
         text += ", not confirmed by records that nobody in the search could read"
     return text
+
+
+def experiments_table(experiments: Sequence[Experiment], view: SearchView) -> Table:
+    """Return V of experiments of a search, and its change to the best one before."""
+    rows: list[list[Any]] = []
+    decimals = error_decimals_of(view.finished)
+    for e in experiments:
+        before = next((o.value for o in reversed(view.bests) if o.number < e.number), None)
+        change = (e.value - before) / before if e.value is not None and before else None
+        status = e.result.status if e.result else "running"
+        rows.append([e.number, e.proposed.title, e.value, change, status])
+    columns = {
+        "experiment": "number", "candidate": "", view.v_name: f"error:{decimals}",
+        "change of V": "signed_share", "decision": "",
+    }  # fmt: skip
+    return Table("experiments; change of V to the best one before", columns, rows)
+
+
+def error_decimals_of(experiments: Iterable[Experiment]) -> int:
+    """Number of decimals with which the V of these experiments read differently."""
+    scored = [
+        (e.value, e.result.threshold) for e in experiments if e.result and e.value is not None
+    ]
+    return error_decimals(*zip(*scored, strict=True)) if scored else 4
+
+
+def references_table(view: SearchView) -> Table:
+    """Return V of the reference models."""
+    rows: list[list[Any]] = []
+    for one in view.references:
+        note = None
+        if one.structure is not None:
+            note = "order {}, delay {} samples".format(*one.structure)
+        elif one.name == "simulated truth":
+            note = "the true system: the noise floor"
+        rows.append([one.name, value_text(one.outcome), note])
+    return Table("reference models", {"reference": "", view.v_name: "error", "note": ""}, rows)
+
+
+def value_text(outcome: Outcome) -> str:
+    """V, or the reason of the failure."""
+    return error_value(outcome.value) if isinstance(outcome, Score) else outcome.reason.value
+
+
+_MOST_OUTPUTS_AS_COLUMNS = 3
+
+
+def fold_blocks(e: Experiment, view: SearchView, metric: str) -> Iterator[Block]:
+    """Yield the results of the folds of an experiment that has a score: errors and fit index on
+    the held-out part, the training error, and the residuals on the training records."""
+    score, result, outputs = e.score, e.result, view.started.outputs
+    assert score is not None
+    assert result is not None
+    label = find_metric(metric).label
+    errors = [fold.per_channel(metric) for fold in score.folds]
+    fits = [fold.fit_index for fold in score.folds]
+    columns = {"fold": "", "V": "error"}
+    few = len(outputs) <= _MOST_OUTPUTS_AS_COLUMNS
+    for name in outputs if few else ():
+        columns |= {f"{label} {name}": "sig", f"fit {name}": "percent"}
+    columns |= {
+        "training error": "error",
+        "validation scores": "",
+        "fit time [s]": "sig:3",
+    }
+    rows: list[list[Any]] = []
+    residuals: list[list[Any]] = []
+    for k, (fold, record) in enumerate(zip(score.folds, result.folds, strict=True)):
+        # The block says nothing that the samples do not.
+        part = re.sub(r"^block \d+ of \d+: (?=samples)", "", "".join(view.started.folds[k : k + 1]))
+        by_output = zip(errors[k], fits[k], strict=True) if few else ()
+        found = record.diagnostics
+        rows.append([
+            f"{k + 1}: {part}" if part else f"{k + 1}",
+            fold.value,
+            *(value for pair in by_output for value in pair),
+            found.train_error,
+            record.validation_scores or None,
+            record.fit_seconds,
+        ])  # fmt: skip
+        residuals.append([
+            f"{k + 1}", found.bias, found.whiteness, found.input_correlation, found.top_error,
+            found.start_error,
+        ])  # fmt: skip
+    yield Table(
+        "results of the folds, on the held-out part",
+        columns,
+        rows,
+    )
+    if not few:
+        heads = dict.fromkeys([f"fold {k}" for k in range(1, len(rows) + 1)], "sig")
+        each = zip(outputs, *errors, strict=True)
+        yield Table(f"{label} by output", {"output": "", **heads}, [*each])
+        each = zip(outputs, *fits, strict=True)
+        heads = dict.fromkeys(heads, "percent")
+        yield Table("fit index by output", {"output": "", **heads}, [*each])
+    yield Table(
+        "residuals on the training records, of the worst output",
+        {"fold": "", "mean": "sig:2", "own past": "fixed", "past inputs": "fixed",
+         "highest tenth": "fixed", "first 5 %": "fixed"},
+        residuals,
+    )  # fmt: skip
+    yield (
+        "fit: 100 (1 - |y - y_hat| / |y - mean of y|); training error: scaled as V; mean: in "
+        "standard deviations of the output; own past, past inputs: largest correlation; highest "
+        "tenth of the output, first 5 % of a record: RMS over that of all samples"
+    )
+    for k, record in enumerate(result.folds, 1):
+        if record.attempt:
+            yield (
+                f"fold {k}: the training error of the first fit was far above those of the other "
+                f"folds; the fit from seed {record.attempt + 1} fits the fold's own data best"
+            )
+    ratio = consistency(score.value, [one.diagnostics.train_error for one in result.folds])
+    text = f"V divided by the training error: {ratio:.2f}"
+    if ratio < SUSPICIOUS_RATIO:
+        text += ", suspiciously low"
+        if result.status == "keep":
+            text += "; V was the same when the folds were fitted again, one at a time"
+    yield text
+
+
+NOT_LEAK_FREE = (
+    "validation early stopping: candidates may request their score on the held-out parts, so V "
+    "is not leak-free and only comparable with V of the same setting"
+)
+RESIDUALS_SHOWN = (
+    "held-out residuals are shown to the agent, which can fit a model to them, so V is only "
+    "comparable with V of the same setting"
+)
+
+
+def v_notes(view: SearchView, scores: int | None = None) -> Iterator[str]:
+    """Yield what V of a search is, where candidates or the agent learned of held-out data. scores:
+    validation scores that were given; None for those in the view."""
+    if view.started.early_stopping == "validation":
+        count = view.validation_scores if scores is None else scores
+        yield f"with {NOT_LEAK_FREE}; {count} validation scores were given"
+    if view.started.residuals == "held_out":
+        yield f"with held-out residuals: {RESIDUALS_SHOWN}"

@@ -7,28 +7,21 @@ from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, fit_note
 from asia._text import one_line
 from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.evidence import IdentifiedModel, IdentifiedParameter
+from asia.presentation.table import Block, Listing, Table
 
 _MOST_PAIRS = 5
 
 
-def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
-    """Yield equations, one row a parameter, and parameters that cannot be distinguished."""
+def identified_blocks(found: IdentifiedModel, *, equations: bool = True) -> Iterator[Block]:
+    """Yield equations, the table of the parameters, and what limits their use."""
     if found.equations and equations:
-        yield (
-            "equations with the fitted numbers:"
-            if found.library
-            else "equations in the candidate's own words, not checked by ASIA:"
-        )
-        yield from (f"  {one_line(line, 600)}" for line in found.equations)
+        title = "equations in the candidate's own words, not checked by ASIA"
+        if found.library:
+            title = "equations of the best candidate with the fitted numbers"
+        yield Listing(title, [one_line(line, 600) for line in found.equations])
     if not found.parameters:
         return
-    own = "" if found.library else ", as the candidate's own code reports them"
-    yield f"parameters, {found.source}{own}:"
-    heads = "", "value", "unit", "std. error", "by folds", "95 % interval", "decided by"
-    columns = [*zip(*(_parameter_row(one) for one in found.parameters), strict=True)]
-    table = [(head, *cells) for head, cells in zip(heads, columns, strict=True) if any(cells)]
-    padded = [[cell.ljust(max(map(len, column))) for cell in column] for column in table]
-    yield from (f"  {'  '.join(row).rstrip()}" for row in zip(*padded, strict=True))
+    yield parameter_table(found)
     alike: dict[str, list[str]] = {}
     for one in found.parameters:
         fitted = one.fitted
@@ -36,20 +29,43 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
             end = fitted.lower if fitted.at_bound == "lower" else fitted.upper
             reached = f" ({end:g})" if "end of its range" in remark else ""
             alike.setdefault(remark, []).append(f"{fitted.name}{reached}")
-    yield from (f"  {remark}: {', '.join(names)}" for remark, names in alike.items())
+    yield from (f"{remark}: {', '.join(names)}" for remark, names in alike.items())
     if any(remark == NOT_IDENTIFIABLE for remark in alike):
         yield (
-            "  other values of these simulate the records nearly as well: the verdict is on the "
+            "other values of these simulate the records nearly as well: the verdict is on the "
             "simulation, not on them"
         )
-    yield from (f"  {line}" for line in interval_lines(found))
-    for first, second, rho in found.entangled[:_MOST_PAIRS]:
+    if any(one.interval is not None for one in found.parameters):
         yield (
-            f"  the errors of {second} and {first} have correlation {rho:+.3f}: the records "
-            f"hardly distinguish the two"
+            "each interval is the widest of three: by the noise, by the spread of the fold models, "
+            "and by a missing effect"
         )
-    if len(found.entangled) > _MOST_PAIRS:
-        yield f"  ... {len(found.entangled) - _MOST_PAIRS} more such pairs"
+    yield from interval_lines(found)
+    pairs = [(f"{second} and {first}", rho) for first, second, rho in found.entangled]
+    if pairs:
+        caption = "hardly distinguished by the records"
+        if len(pairs) > _MOST_PAIRS:
+            caption += f", and {len(pairs) - _MOST_PAIRS} more pairs"
+        columns = {"pair": "", "correlation of the errors": "signed"}
+        yield Table(caption, columns, pairs[:_MOST_PAIRS])
+
+
+def parameter_table(found: IdentifiedModel) -> Table:
+    """Return the values of the parameters with their uncertainty."""
+    own = "" if found.library else ", as the candidate's own code reports them"
+    columns = {
+        "parameter": "", "value": "sig:5", "unit": "", "std. error": "sig:2", "by folds": "",
+        "95 % interval": "", "decided by": "",
+    }  # fmt: skip
+    rows: list[tuple[str | float | None, ...]] = []
+    for one in found.parameters:
+        fitted, ends = one.fitted, one.interval
+        quoted = (None, None)
+        if ends is not None:
+            quoted = f"{ends[0]:.4g} to {ends[1]:.4g}", one.decided_by
+        error, name = fitted.standard_error, fitted.name
+        rows.append((name, fitted.value, fitted.unit, error, _fold_text(one), *quoted))
+    return Table(f"parameters, {found.source}{own}", columns, rows)
 
 
 def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Iterator[str]:
@@ -66,20 +82,7 @@ def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Itera
         yield f"at the {fitted.at_bound} end of its range"
 
 
-def _parameter_row(one: IdentifiedParameter) -> tuple[str, ...]:
-    fitted, ends = one.fitted, one.interval
-    return (
-        fitted.name,
-        f"{fitted.value:.5g}",
-        fitted.unit,
-        "" if fitted.standard_error is None else f"{fitted.standard_error:.2g}",
-        fold_text(one),
-        "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
-        "" if ends is None else one.decided_by,
-    )
-
-
-def fold_text(one: IdentifiedParameter) -> str:
+def _fold_text(one: IdentifiedParameter) -> str:
     """Standard error by the folds; of an order or a delay the whole numbers of the fold models."""
     if one.folds and one.is_count:
         low, high = min(one.folds), max(one.folds)
@@ -95,10 +98,9 @@ def interval_lines(found: IdentifiedModel) -> Iterator[str]:
         yield f"no standard errors and intervals: {one_line(found.reason, 400)}"
     apart = found.disagreeing
     if apart:
-        verb = "differs" if len(apart) == 1 else "differ"
         yield (
-            f"{listed(apart)} {verb} significantly between the folds: the system "
-            "drifts, or an effect is missing"
+            f"significantly different between the folds: {listed(apart)}; the system drifts, or an "
+            "effect is missing"
         )
     if any(one.fitted.misfit_error > 0 for one in found.parameters):
         wider = any(one.decided_by == "missing effect" for one in found.parameters)

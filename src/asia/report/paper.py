@@ -1,26 +1,21 @@
 """LaTeX tables and the methods paragraph of a paper."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from asia._text import one_line
 from asia.judge.scoring.outcome import Score
 from asia.ledger.chain import write_whole
-from asia.ledger.events import TestedModel, Unsealed
+from asia.ledger.events import TestedModel
 from asia.ledger.evidence import IdentifiedModel, identified
 from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
-from asia.ledger.simulated import final_models
 from asia.ledger.view import SearchView
-from asia.presentation.parameters import fold_text, parameter_remarks
-from asia.presentation.table import error_value
+from asia.presentation.experiments import experiments_table
+from asia.presentation.parameters import parameter_remarks, parameter_table
+from asia.presentation.results import USES, sealed_test_blocks
+from asia.presentation.table import Block, Table, error_value
 from asia.problem.metrics import find_metric, metric_label
-
-_USES = {
-    "ensemble": "the mean of the models of all folds",
-    "refit": "the best candidate fitted to all training records",
-    "stack": "a weighted mean of several candidates",
-}
 
 
 def methods_paragraph(directory: Path) -> str:
@@ -110,7 +105,7 @@ def _best(view: SearchView) -> Iterator[str]:
             f"{error_value(expected.value)} ({100 * confirmed.expected_level:g} % interval {ends})."
         )
     if view.refitted is not None:
-        yield f"The model handed over is {_USES[named.model]}, chosen without test data."
+        yield f"The model handed over is {USES[named.model]}, chosen without test data."
 
 
 def _sealed_test(view: SearchView) -> Iterator[str]:
@@ -157,18 +152,19 @@ def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
     `test.tex` once the test was opened. Returns the paths written. Raises UserError when
     `run_directory` is not a run."""
     run = open_run(run_directory)
-    view, found = run.view, identified(run)
-    tables = {
-        "experiments": _experiments_table(view),
-        "best": _best_table(view, metric_of(run_directory)),
+    view, model = run.view, identified(run)
+    tables: dict[str, list[Block]] = {
+        "experiments": [experiments_table(view.finished, view)],
+        "best": [_best_table(view, metric_of(run_directory))],
     }
-    if found is not None and found.parameters:
-        tables["parameters"] = _parameters_table(view, found)
-    if view.unsealed is not None:
-        tables["test"] = _test_table(view, view.unsealed)
+    if model is not None and model.parameters:
+        tables["parameters"] = [_parameters_table(model)]
+    if view.unsealed is not None and (named := model_to_use(view)) is not None:
+        tables["test"] = [*sealed_test_blocks(view.unsealed, named.model)]
     directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / f"{name}.tex" for name in tables]
-    for path, text in zip(paths, tables.values(), strict=True):
+    for path, blocks in zip(paths, tables.values(), strict=True):
+        text = "\n".join(_table(view, one) for one in blocks if isinstance(one, Table))
         write_whole(path, text.encode("utf-8", "replace"), durable=False)
     return tuple(paths)
 
@@ -179,89 +175,40 @@ def latex(text: str) -> str:
     return re.sub(special, lambda found: _SPECIAL[found[0]], one_line(text))
 
 
-def _table(
-    view: SearchView, content: str, columns: str, head: Sequence[str], rows: Iterable[Sequence[str]]
-) -> str:
-    note = one_line(f"{content}, run {view.started.run}; needs booktabs")
+def _table(view: SearchView, table: Table) -> str:
+    note = one_line(f"{table.caption}, run {view.started.run}; needs booktabs")
+    columns = "".join("l" if text else "r" for text in table.is_text)
     lines = [f"% {note}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
+    head = (re.sub(r"^V\b", "$V$", latex(title)) for title in table.head)
     lines += [" & ".join(head) + r" \\", r"\midrule"]
-    lines += [" & ".join(row) + r" \\" for row in rows]
+    lines += [" & ".join(map(_latex_cell, row, table.is_text)) + r" \\" for row in table.cells]
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def _experiments_table(view: SearchView) -> str:
-    rows: list[list[str]] = []
-    for e in view.finished:
-        before = [o.score.value for o in view.bests if o.number < e.number and o.score]
-        value, change = "--", "--"
-        if e.score is not None:
-            value = error_value(e.score.value)
-            if before and before[-1]:
-                gap = 100 * (e.score.value - before[-1]) / before[-1]
-                change = rf"${gap:+.1f}\,\%$"
-        status = e.result.status if e.result else ""
-        rows.append([str(e.number), latex(e.proposed.title), value, change, status])
-    head = ["No.", "Candidate", latex(view.v_name).replace("V", "$V$", 1), "Change", "Decision"]
-    return _table(view, "Every experiment; change to the best before", "rlrrl", head, rows)
+def _latex_cell(cell: str, text: bool) -> str:
+    if text:
+        return latex(cell)
+    return re.sub(r"[+-](?=\d)[\d.]+", r"$\g<0>$", latex(cell)) or "--"
 
 
-def _best_table(view: SearchView, metric: str) -> str:
+def _best_table(view: SearchView, metric: str) -> Table:
     """V of the best candidate on each fold, with the reference models."""
     best = view.best
     scores = [(r.name, r.outcome) for r in view.references if isinstance(r.outcome, Score)]
     if best is not None and best.score is not None:
         scores.append((best.proposed.title, best.score))
     folds = max((len(score.folds) for _, score in scores), default=0)
-    head = ["Model", "$V$", *(f"fold {k + 1}" for k in range(folds))]
-    rows = [
-        [latex(name), error_value(score.value), *(error_value(f.value) for f in score.folds)]
-        for name, score in scores
-    ]
-    content = (
-        f"The best candidate and the reference models, {metric_label(metric)} over the standard "
-        "deviation of the output"
+    each = dict.fromkeys([f"fold {k + 1}" for k in range(folds)], "error")
+    return Table(
+        f"the best candidate and the reference models, {metric_label(metric)} over the standard "
+        "deviation of the output",
+        {"model": "", "V": "error", **each},
+        [(name, score.value, *(f.value for f in score.folds)) for name, score in scores],
     )
-    return _table(view, content, "l" + "r" * (folds + 1), head, rows)
 
 
-def _parameters_table(view: SearchView, found: IdentifiedModel) -> str:
-    """The parameters of the refit with their uncertainty."""
-    rows: list[list[str]] = []
-    for row in found.parameters:
-        one, ends = row.fitted, row.interval
-        rows.append([
-            latex(one.name),
-            f"{one.value:.5g}",
-            latex(one.unit),
-            "--" if one.standard_error is None else f"{one.standard_error:.2g}",
-            fold_text(row) or "--",
-            "--" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
-            "--" if ends is None else row.decided_by,
-            latex("; ".join(parameter_remarks(found, row))),
-        ])  # fmt: skip
-    head = ["Parameter", "Value", "Unit", "Standard error", "by folds", r"95\,\% interval",
-            "decided by", ""]  # fmt: skip
-    content = f"Parameters of the best candidate, {found.source}"
-    content += "" if found.library else ", as the candidate's own code reports them"
-    return _table(view, content, "lrlrrrll", head, rows)
-
-
-def _test_table(view: SearchView, opened: Unsealed) -> str:
-    """A row for each metric and output, a column for each model."""
-    named = model_to_use(view)
-    found = final_models(opened)
-    models = [(key, text, m) for key, text, m in found if isinstance(m, TestedModel)]
-    rows: list[list[str]] = []
-    for k, score in enumerate(models[0][2].scores if models else ()):
-        label = latex(find_metric(score.metric).label)
-        scores = [model.scores[k] for _, _, model in models]
-        if len(opened.channels) > 1:
-            values = (f"{s.value:.4g}" for s in scores)
-            rows.append([f"{label}, mean over the outputs", *values])
-        for c, name in enumerate(opened.channels):
-            values = (f"{s.per_channel[c]:.4g}" for s in scores)
-            rows.append([f"{label} {latex(name)}", *values])
-    use = named.model if named is not None else ""
-    head = ["Error", *(f"{text} (to use)" if key == use else text for key, text, _ in models)]
-    content = "The sealed test, in the units of the outputs"
-    return _table(view, content, "l" + "r" * len(models), head, rows)
+def _parameters_table(found: IdentifiedModel) -> Table:
+    table = parameter_table(found)
+    remarks = ("; ".join(parameter_remarks(found, one)) for one in found.parameters)
+    rows = [(*row, remark) for row, remark in zip(table.rows, remarks, strict=True)]
+    return Table(table.caption, {**table.columns, "remark": ""}, rows)

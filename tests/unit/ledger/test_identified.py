@@ -20,9 +20,14 @@ from asia.ledger.evidence import (
     put_estimates,
     with_fold_values,
 )
-from asia.presentation.parameters import identified_lines, identified_object
+from asia.presentation.parameters import identified_blocks, identified_object
+from asia.presentation.table import block_lines
 
 INF = float("inf")
+
+
+def shown(found: IdentifiedModel) -> list[str]:
+    return [*block_lines(identified_blocks(found))]
 
 
 def fitted(**changes: object) -> EstimatedParameter:
@@ -93,11 +98,11 @@ def test_people_and_scripts_read_the_same() -> None:
         IdentifiedParameter(fitted(name="m", value=10.0, standard_error=None, low=None), (), None),
     )
     found = IdentifiedModel(3, rows, ((1.0, -0.97), (-0.97, 1.0)), ("d(x)/dt = -0.5 * x",))
-    lines = list(identified_lines(found))
+    lines = shown(found)
     assert lines[1].strip() == "d(x)/dt = -0.5 * x"
     assert "0.46 to 0.54" in next(line for line in lines if line.strip().startswith("k "))
-    assert "  not identifiable from these records: m" in lines
-    assert "  at the upper end of its range: m (10)" in lines
+    assert "not identifiable from these records: m" in lines
+    assert "at the upper end of its range: m (10)" in lines
     assert "-0.970" in lines[-1]
     first = identified_object(found)["parameters"][0]
     assert first["interval_95"] == [0.46, 0.54]
@@ -108,14 +113,14 @@ def test_people_and_scripts_read_the_same() -> None:
 def test_equations_of_a_candidate_are_marked_as_its_own_words() -> None:
     rows = (IdentifiedParameter(fitted(), (), None),)
     own = IdentifiedModel(3, rows, ((1.0,),), ("y = x",))
-    text = "\n".join(identified_lines(own))
+    text = "\n".join(shown(own))
     assert "equations in the candidate's own words, not checked by ASIA:" in text
     assert "as the candidate's own code reports them:" in text
     assert identified_object(own)["reported_by"] == "candidate"
     library = replace(own, library=True)
-    text = "\n".join(identified_lines(library))
-    assert "equations with the fitted numbers:" in text
-    assert "candidate" not in text
+    text = "\n".join(shown(library))
+    assert "equations of the best candidate with the fitted numbers:" in text
+    assert "candidate's own" not in text
     assert identified_object(library)["reported_by"] == "library"
 
 
@@ -130,13 +135,13 @@ def test_the_widest_source_decides_the_interval_to_quote() -> None:
     assert lacking.interval == pytest.approx((0.2, 0.8))
     assert (lacking.decided_by, lacking.disagrees) == ("missing effect", False)
     unsettled = IdentifiedParameter(fitted(misfit_error=1.0), (0.49, 0.51), 0.01)
-    lines = "\n".join(identified_lines(IdentifiedModel(1, (unsettled,), ((1.0,),), ())))
+    lines = "\n".join(shown(IdentifiedModel(1, (unsettled,), ((1.0,),), ())))
     assert "no interval: its ends by the folds or a missing effect are a factor of 10" in lines
     assert "other values of these simulate" not in lines
     unknown = IdentifiedParameter(fitted(standard_error=None, low=None, high=None), (1.0, 2.0), 0.5)
     assert (unknown.interval, unknown.decided_by, unknown.disagrees) == (None, "noise", False)
-    text = "\n".join(identified_lines(IdentifiedModel(1, (apart, lacking), ((1.0,),), ())))
-    assert "k differs significantly between the folds" in text
+    text = "\n".join(shown(IdentifiedModel(1, (apart, lacking), ((1.0,),), ())))
+    assert "significantly different between the folds: k;" in text
     assert "an effect is missing, and the intervals include" in text
 
 
@@ -154,7 +159,7 @@ def test_values_without_standard_errors_are_printed_with_the_reason() -> None:
     model = IdentifiedModel(
         2, (IdentifiedParameter(bare, (), None),), ((None,),), ("dx = -0.5 * x",), True, "too short"
     )
-    text = "\n".join(identified_lines(model))
+    text = "\n".join(shown(model))
     assert "dx = -0.5 * x" in text
     assert "0.5" in text
     assert "no standard errors and intervals: too short" in text
@@ -165,7 +170,7 @@ def test_values_without_standard_errors_are_printed_with_the_reason() -> None:
 def test_a_wide_interval_is_marked_and_the_bias_is_said_to_be_inside() -> None:
     wide = fitted(low=0.3, high=2.0, misfit_error=0.01)
     model = IdentifiedModel(2, (IdentifiedParameter(wide, (), None),), ((1.0,),), (), fit=61.0)
-    text = "\n".join(identified_lines(model))
+    text = "\n".join(shown(model))
     assert "interval wider than the value" in text
     assert "the bias that it may cause is smaller than the intervals" in text
     assert "the model fits 61 %, below 80 %" in text
@@ -178,6 +183,6 @@ def test_an_interval_of_orders_of_magnitude_and_one_at_a_bound_are_withheld() ->
     ):
         found = IdentifiedParameter(one, (), None)
         assert found.interval is None
-        text = "\n".join(identified_lines(IdentifiedModel(2, (found,), ((1.0,),), ())))
+        text = "\n".join(shown(IdentifiedModel(2, (found,), ((1.0,),), ())))
         assert reason in text
         assert "95 % interval" not in text

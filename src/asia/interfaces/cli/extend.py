@@ -22,8 +22,8 @@ from asia.interfaces.cli.options import (
     SearchOptions,
     run_directory,
 )
-from asia.interfaces.cli.output import value_words
 from asia.interfaces.cli.run import Driver, make_driver, search_and_print
+from asia.presentation.experiments import value_text
 
 if TYPE_CHECKING:
     from asia.agents.view import Agent
@@ -93,7 +93,7 @@ def extend(
     assert best.score is not None
     stream = sys.stderr if json else sys.stdout
     say(
-        f"before    the old model ({use} of #{best.number:02d}) has V={value_words(outcome)} on "
+        f"before    the old model ({use} of #{best.number:02d}) has V={value_text(outcome)} on "
         f"{record.name} before any fit; in its search it had V={error_value(best.score.value)}",
         file=stream,
     )

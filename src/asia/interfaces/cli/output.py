@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
@@ -13,23 +14,24 @@ from rich.segment import Segment
 
 from asia._text import folded, printable
 from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
+from asia.agents.expert_result import expert_result, expert_text
 from asia.analysis.verdict import alarms, unguarded, usability
-from asia.judge.scoring.outcome import Outcome, Score
+from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
 from asia.ledger.run import model_to_use
 from asia.ledger.view import Experiment, SearchView
-from asia.presentation.experiments import seed_mean_words, stack_words, validation_score_words
+from asia.presentation.experiments import (
+    method_note,
+    seed_mean_words,
+    threshold_text,
+    v_notes,
+    validation_score_words,
+    validation_summary,
+    value_text,
+)
+from asia.presentation.results import confirmation_verdict, noise_text, second_fit_text, stack_text
 from asia.presentation.table import error_value
 from asia.search.steering import FoldLosses
-
-NOT_LEAK_FREE = (
-    "validation early stopping: candidates may request their score on the held-out parts, so V "
-    "is not leak-free and only comparable with V of the same setting"
-)
-RESIDUALS_SHOWN = (
-    "held-out residuals are shown to the agent, which can fit a model to them, so V is only "
-    "comparable with V of the same setting"
-)
 
 
 class Terminal(Console):
@@ -71,19 +73,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
-
-
-def validation_words(validation_scores: int) -> str:
-    """Return the note on V with validation early stopping, with the number of validation scores."""
-    return (
-        f"with validation early stopping, not leak-free; {validation_scores} validation scores "
-        "were given"
-    )
-
-
-def value_words(outcome: Outcome) -> str:
-    """Return V, or the reason of the failure."""
-    return error_value(outcome.value) if isinstance(outcome, Score) else outcome.reason.value
 
 
 def experiment_line(experiment: Experiment, view: SearchView) -> str:
@@ -157,24 +146,12 @@ def guard_words(view: SearchView) -> str:
     if not view.looks:
         return f"not looked at yet; {asked}"
     look, best = view.looks[-1], view.best
-    scores = ", ".join(f"#{s.experiment:02d} {value_words(s.outcome)}" for s in look.scores)
+    scores = ", ".join(f"#{s.experiment:02d} {value_text(s.outcome)}" for s in look.scores)
     pick = "none" if look.pick is None else f"#{look.pick:02d}"
     handed = ""
     if best is not None and best.number != look.pick:
         handed = f", the best candidate is #{best.number:02d}"
     return f"{scores}; it picks {pick}{handed} (look {look.look}; {asked})"
-
-
-def again_words(view: SearchView) -> str:
-    """Return the difference that a second fit of one fold of the best candidate showed; "" if
-    none."""
-    again = view.refitted.again if view.refitted else None
-    if again is None or again.value == 1.0:
-        return ""
-    found = f"failed ({again.failed})"
-    if again.value is not None:
-        found = f"has {again.value:.4g} times the error of the first"
-    return f"a second fit of fold {again.fold} {found}: V varies over repeated fits"
 
 
 def verdict_object(view: SearchView) -> dict[str, Any] | None:
@@ -183,35 +160,73 @@ def verdict_object(view: SearchView) -> dict[str, Any] | None:
     return None if found is None else asdict(found)
 
 
-def verdict_lines(view: SearchView) -> list[str]:
-    """Return `verdict doubtful: ...`, further reasons on lines of their own; none without a
-    model."""
-    found = usability(view)
+def fact_line(label: str, text: str) -> str:
+    """A text behind its label."""
+    return f"{label:<8} {text}"
+
+
+def verdict_facts(view: SearchView) -> Iterator[tuple[str, str]]:
+    """Yield the verdict with its reasons, the model to use and the other models; labels with
+    texts. Nothing without a model."""
+    found, named, refitted = usability(view), model_to_use(view), view.refitted
     if found is None:
-        return []
+        return
     first, *others = found.reasons or ("",)
-    return [
-        f"verdict {found.kind}{': ' if first else ''}{first}",
-        *(f"        {r}" for r in others),
-    ]
-
-
-def use_lines(view: SearchView) -> list[str]:
-    """Return the model to use of a finished search with its reason, and the other models."""
-    named, refitted = model_to_use(view), view.refitted
+    yield "verdict", f"{found.kind}: {first}" if first else found.kind
+    yield from (("", reason) for reason in others)
     if named is None or refitted is None:
-        return []
-    best = view.best.score if view.best is not None else None
-    lines = [f"use     {named.model}: {named.reason}"]
+        return
+    yield "use", f"{named.model}: {named.reason}"
     if refitted.model is None and refitted.detail and named.model != "ensemble":
-        lines.append(f"refit   none: {refitted.detail}")
-    stack = refitted.stack
-    if stack is not None and best is not None and stack.value < best.value:
-        lines.append(
-            f"stack   {view.v_name}={error_value(stack.value)} (nested cross-validation), weights "
-            f"{stack_words(stack)}"
-        )
-    return lines
+        yield "refit", f"none: {refitted.detail}"
+    stack, best = refitted.stack, view.best_value
+    if stack is not None and best is not None and stack.value < best:
+        yield "stack", stack_text(stack, view.v_name)
+
+
+def search_facts(
+    view: SearchView, directory: Path, finished: int, scores: int | None = None
+) -> Iterator[tuple[str, str]]:
+    """Yield what is known of a search beside its experiments, labels with texts.
+
+    Args:
+        finished: number of its experiments with a result
+        scores: validation scores that were given; None for those in the view
+    """
+    if view.stopped is not None:
+        words = stop_words(view.stopped.reason, view)
+        detail = f" ({view.stopped.detail})" if view.stopped.detail else ""
+        yield "stopped", f"{words}{detail if view.stopped.detail not in words else ''}"
+    if view.usage is not None:
+        yield "agent", usage_words(view.usage)
+    best = view.best
+    if best is not None and best.score is not None:
+        folds = ", ".join(error_value(f.value) for f in best.score.folds)
+        mean = f", {words}" if (words := seed_mean_words(best)) else ""
+        value = f"V={error_value(best.score.value)} (folds {folds}){mean}"
+        yield "best", f"#{best.number:02d} {value}  {best.proposed.title}"
+    elif view.complete:
+        yield "best", "none: every candidate failed"
+    yield from verdict_facts(view)
+    yield from (("V is", words) for words in v_notes(view, scores))
+    # Evidence for the best candidate other than V.
+    again = view.refitted.again if view.refitted else None
+    for label, words in (
+        ("method", method_note(view)),
+        ("threshold", threshold_text(view)),
+        ("second fit", second_fit_text(again) if again and again.value != 1.0 else ""),
+        ("guard", guard_words(view)),
+    ):
+        if words:
+            yield label, words
+    if (found := view.confirmed) is not None:
+        noise = f"variance over seeds: {noise_text(found)}"
+        yield "confirm", f"{confirmation_verdict(found)}; {noise}"
+    yield from (("checks", validation_summary(one)) for one in view.validated)
+    yield from (("note", line) for line in view.failed_checks)
+    compared = expert_result(directory, view.started, finished)
+    if compared is not None:
+        yield "control", expert_text(compared, view.started)
 
 
 def stop_words(reason: str, view: SearchView) -> str:

@@ -8,7 +8,7 @@ import typer
 
 from asia._text import say
 from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
-from asia.interfaces.cli.output import use_lines, verdict_lines
+from asia.interfaces.cli.output import fact_line, verdict_facts
 from asia.ledger.artifacts import Store
 from asia.ledger.looks import seal_words
 from asia.ledger.run import open_run
@@ -51,8 +51,8 @@ def report(
     view = open_run(directory).view
     if words := seal_words(directory, view):
         say(words, file=sys.stderr)
-    for line in (*verdict_lines(view), *use_lines(view)):
-        say(line, file=sys.stderr)
+    for label, text in verdict_facts(view):
+        say(fact_line(label, text), file=sys.stderr)
     if not Store(directory / "artifacts").kept:
         say(
             "other pictures left out: they need simulations, and the run has no artifacts",

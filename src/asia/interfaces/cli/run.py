@@ -19,7 +19,6 @@ from asia._diagnostic import diagnostic
 from asia._progress import now_doing
 from asia._text import printable_line, say
 from asia._timer import Activity, ActivityTimer, TimeSpent, duration
-from asia.agents.expert_result import expert_result, expert_text
 from asia.analysis.verdict import alarms, unguarded
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
@@ -40,21 +39,13 @@ from asia.interfaces.cli.options import (
     jail_words,
 )
 from asia.interfaces.cli.output import (
-    NOT_LEAK_FREE,
-    RESIDUALS_SHOWN,
     Terminal,
-    again_words,
     experiment_line,
-    guard_words,
+    fact_line,
     profile_lines,
     profile_object,
     running_words,
-    stop_words,
-    usage_words,
-    use_lines,
-    validation_words,
-    value_words,
-    verdict_lines,
+    search_facts,
     verdict_object,
 )
 from asia.judge.scoring.outcome import Failure, Score
@@ -70,9 +61,13 @@ from asia.ledger.events import (
 from asia.ledger.evidence import identified, incumbent_threshold
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
-from asia.presentation.experiments import method_note, seed_mean_words, threshold_text
-from asia.presentation.parameters import identified_lines
-from asia.presentation.table import error_value
+from asia.presentation.experiments import (
+    NOT_LEAK_FREE,
+    RESIDUALS_SHOWN,
+    value_text,
+)
+from asia.presentation.parameters import identified_blocks
+from asia.presentation.table import block_lines
 from asia.problem.metrics import find_metric
 
 if TYPE_CHECKING:
@@ -463,17 +458,14 @@ class TextDisplay:
             self._print(f"ALARM    {words}", style="bold red")
         if words := unguarded(view):
             self._print(f"NOTE     {words}", style="bold yellow")
-        if view.stopped is not None:
-            self._print(f"stopped  {stop_words(view.stopped.reason, view)}")
-            if view.stopped.detail:
-                self._print(f"         {view.stopped.detail}")
-        if view.usage is not None:
-            self._print(f"usage    {usage_words(view.usage)}")
-        self._print_best(view)
+        for label, text in search_facts(view, directory, len(view.finished)):
+            self._print(fact_line(label, text), style="bold" if label == "best" else "")
+        references = " · ".join(f"{r.name} {value_text(r.outcome)}" for r in view.references)
+        self._print(f"references V: {references}")
         # More than a dozen parameters are left to `asia show`.
         model = identified(open_run(directory))
         if model is not None and 0 < len(model.parameters) <= 12:
-            for line in identified_lines(model, equations=False):
+            for line in block_lines(identified_blocks(model, equations=False)):
                 self._print(line)
         self._print(f"files    {directory}/results.tsv, search_journal.md")
         for picture in pictures:
@@ -481,9 +473,6 @@ class TextDisplay:
                 self._print(f"picture  {picture}")
         for line in failed:
             self._print(f"note     {line}", style="yellow")
-        for line in (*verdict_lines(view), *use_lines(view)):
-            word, _, words = line.partition(" ")
-            self._print(f"{word:<9}{words.strip()}")
         if view.refitted is not None and self.problem.control is None:
             self._print("models   asia.simulate(run, ...) uses the model of the line `use`")
         run = directory.name if directory.parent == DEFAULT_RUNS else str(directory)
@@ -501,38 +490,6 @@ class TextDisplay:
             self._print(f"         {linear:<{width}}order, poles, gain, Bode plot of the model")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
-
-    def _print_best(self, view: SearchView) -> None:
-        """Print the best candidate and the evidence for its quality."""
-        best = view.best
-        if best is None or best.score is None:
-            self._print("best     none: every candidate failed")
-            return
-        folds = ", ".join(error_value(f.value) for f in best.score.folds)
-        mean = f", {words}" if (words := seed_mean_words(best)) else ""
-        self._print(
-            f"best     #{best.number:02d} V={error_value(best.score.value)} (folds {folds}){mean}  "
-            f"{best.proposed.title}",
-            style="bold",
-        )
-        if view.started.early_stopping == "validation":
-            self._print(f"V is     {validation_words(view.validation_scores)}")
-        if view.started.residuals == "held_out":
-            self._print("V is     with held-out residuals shown")
-        compared = expert_result(self.prepared.directory, view.started, len(view.finished))
-        if compared is not None:
-            self._print(f"control  {expert_text(compared, view.started)}")
-        for name, words in (
-            ("method", method_note(view)),
-            ("threshold", threshold_text(view)),
-            ("second fit", again_words(view)),
-        ):
-            if words:
-                self._print(f"{name:<8} {words}")
-        if words := guard_words(view):
-            self._print(f"guard    {words}")
-        references = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.references)
-        self._print(f"references V: {references}")
 
     def profile(self, events: Sequence[Event], unrecorded: Sequence[TimeSpent]) -> None:
         """Print the time of each activity. unrecorded: seconds that the ledger does not record."""
@@ -565,7 +522,7 @@ class TextDisplay:
         note = "   the true system: the noise floor" if reference.name == TRUTH else ""
         if reference.structure is not None:
             note = "   order {}, delay {} samples".format(*reference.structure)
-        value = value_words(reference.outcome)
+        value = value_text(reference.outcome)
         self._print(f"reference {reference.name:<18} V={value}{note}", style="cyan")
         if isinstance(reference.outcome, Failure):
             self._print(f"        {_last_line(reference.outcome)}", style="dim")

@@ -9,31 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 from asia._text import say
 from asia._timer import duration
-from asia.agents.expert_result import expert_result, expert_text
+from asia.agents.expert_result import expert_result
 from asia.analysis.verdict import alarms, unguarded
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Profile, RunName, Runs, run_directory
 from asia.interfaces.cli.output import (
-    again_words,
     experiment_line,
+    fact_line,
     guard_words,
     print_alarms,
     profile_lines,
     profile_object,
     running_words,
-    stop_words,
-    usage_words,
-    use_lines,
-    validation_words,
-    value_words,
-    verdict_lines,
+    search_facts,
     verdict_object,
 )
-from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.looks import seal_words
 from asia.ledger.run import error_of, metric_of, model_to_use, open_run
-from asia.presentation.experiments import method_note, threshold_text, validation_summary
+from asia.presentation.experiments import references_table
 from asia.problem.metrics import metric_label
 from asia.search.steering import running_losses
 
@@ -123,7 +117,7 @@ def _print_status(directory: Path, found: Brief) -> None:
     view, start = found.view, found.view.started
     print_alarms(view)
     if words := seal_words(directory, view):
-        say(f"seal    {words}")
+        say(fact_line("seal", words))
     say(
         f"run {start.run}  problem {start.problem}  agent {start.agent}  "
         f"seed {start.seed}  isolation {start.isolation_words}"
@@ -133,55 +127,20 @@ def _print_status(directory: Path, found: Brief) -> None:
         f"{duration(found.seconds)} (without references and refit), "
         f"metric {metric_label(metric_of(directory))}"
     )
-    for line in verdict_lines(view):
-        say(line)
     error = error_of(directory) if found.state == "interrupted" else None
     if error is not None:
-        say(f"error   {error}")
+        say(fact_line("error", error))
     running = found.state == "running"
     for words in running_words(view, running_losses(directory, view)) if running else ():
-        say(f"running {words}")
-    if view.stopped is not None:
-        words = stop_words(view.stopped.reason, view)
-        say(f"stopped: {words}" + (f" ({view.stopped.detail})" if view.stopped.detail else ""))
+        say(fact_line("running", words))
     if view.experiments and view.experiments[-1].proposed.remark:
-        say(f"remark  {view.experiments[-1].proposed.remark}")
-    if view.usage is not None:
-        say(f"agent   {usage_words(view.usage)}")
-    if start.early_stopping == "validation":
-        say(f"V is {validation_words(found.validation_scores)}")
-    if start.residuals == "held_out":
-        say("V is with held-out residuals shown")
-    # Evidence for the best candidate other than V.
-    for name, words in (
-        ("method", method_note(view)),
-        ("threshold", threshold_text(view)),
-        ("second fit", again_words(view)),
-    ):
-        if words:
-            say(f"{name:<7} {words}")
-    for line in use_lines(view):
-        say(line)
-    if words := guard_words(view):
-        say(f"guard   {words}")
-    if view.confirmed is not None:
-        say(
-            f"confirm {verdict(view.confirmed)}; variance over seeds: {noise_words(view.confirmed)}"
-        )
-    for validation in view.validated:
-        say(f"checks  {validation_summary(validation)}")
-    for line in view.failed_checks:
-        say(f"note    {line}")
+        say(fact_line("remark", view.experiments[-1].proposed.remark))
+    for label, text in search_facts(view, directory, found.finished, found.validation_scores):
+        say(fact_line(label, text))
     if view.unsealed is not None:
         say(f"the test was opened: asia unseal {directory.name} prints the result")
-    compared = expert_result(directory, start, found.finished)
-    if compared is not None:
-        say(f"control {expert_text(compared, start)}")
-    for reference in view.references:
-        chosen = "" if reference.structure is None else (
-            "   order {}, delay {} samples".format(*reference.structure)
-        )  # fmt: skip
-        say(f"reference {reference.name:<18} V={value_words(reference.outcome)}{chosen}")
+    for line in references_table(view).lines() if view.references else ():
+        say(line)
     shown = view.finished[-_EXPERIMENTS_SHOWN:]
     if shown:
         say(

@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from asia._text import one_line, say
+from asia._text import say
 from asia.analysis.verdict import alarms
-from asia.errors import InternalError, Reason, UserError
+from asia.errors import InternalError, UserError
 from asia.interfaces.cli.options import Keys, RunName, RunOptions, YesProcess
-from asia.interfaces.cli.output import print_alarms, use_lines, validation_words
+from asia.interfaces.cli.output import fact_line, print_alarms, verdict_facts
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.looks import later_words
 from asia.ledger.run import Run, model_to_use, open_run, tested_model
 from asia.ledger.view import SearchView
-from asia.problem.metrics import metric_label
+from asia.presentation.experiments import v_notes
+from asia.presentation.results import sealed_test_blocks
+from asia.presentation.table import block_lines
 
 if TYPE_CHECKING:
     from asia.judge.sandbox.types import Isolation
@@ -171,56 +173,12 @@ def _result_object(record: Unsealed, view: SearchView, board: Board) -> dict[str
 
 
 def _print_result(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
-    how = f", {record.skip} samples skipped" if record.skip else ""
-    if record.horizon is not None:
-        how = f", windows of {record.horizon} samples"
     print_alarms(view)
-    say(
-        f"sealed test, experiment #{record.experiment:02d}{how}: errors in the unit of each output "
-        "(V is divided by their standard deviation)"
-    )
-    for title, model in (
-        ("ensemble of the fold models", record.ensemble),
-        ("refit on all training data", record.refit),
-        ("stack of several experiments", record.stack),
-    ):
-        if model is None:
-            continue
-        if isinstance(model, Failure):
-            # What breaks the contract says more itself.
-            own = model.detail if model.reason is Reason.CONTRACT else ""
-            say(f"{title:<28} no score: {own or model.advice}")
-            continue
-        for score in model.scores:
-            values = zip(record.channels, score.per_channel, strict=True)
-            error = f"{score.value:.4g}  ({', '.join(f'{name} {v:.4g}' for name, v in values)})"
-            several = len(score.per_trajectory) > 1
-            # An official figure is that of one record; a number over all of them is none.
-            if several and by_record:
-                error = "by record"
-            say(f"{title:<28} {metric_label(score.metric)} {error}")
-            if several:
-                for name, value in zip(record.trajectories, score.per_trajectory, strict=True):
-                    say(f"    {name:<24} {value:.4g}")
-        if model.mee is not None:
-            # A row per group, a column per step.
-            rows = model.mee.by_group()
-            width = max(len("group"), *(len(name) for name in rows))
-            say("    mean Euclidean error")
-            say(f"    {'group':<{width}}" + "".join(f"{n:>10}" for n in next(iter(rows.values()))))
-            for name, row in rows.items():
-                say(f"    {name:<{width}}" + "".join(f"{v:>10.4g}" for v in row.values()))
-    for line in use_lines(view)[:1]:
-        say(f"model to {one_line(line)}")
-    bands = record.bands
-    if bands is not None:
-        covered = zip(record.channels, bands.covered, strict=True)
-        held = ", ".join(f"{name} {share:.1%}" for name, share in covered)
-        line = f"bands of {bands.level:.0%} around it held: {held}"
-        if bands.outside > 0.0:
-            line += f"; {bands.outside:.1%} of the samples are outside the region of validity"
-        say(line.replace("%", " %"))
-    if view.started.early_stopping == "validation":
-        say(f"chosen {validation_words(view.validation_scores)}; the test itself was never seen")
-    if view.started.residuals == "held_out":
-        say("chosen with held-out residuals shown; the test itself was never seen")
+    named = model_to_use(view)
+    blocks = sealed_test_blocks(record, named.model if named else None, total=not by_record)
+    for line in block_lines(blocks):
+        say(line)
+    for label, text in verdict_facts(view):
+        say(fact_line(label, text))
+    for words in v_notes(view):
+        say(f"V is {words}; the test itself was never seen")

@@ -16,13 +16,14 @@ from asia.interfaces.view.pages import zoomable
 from asia.interfaces.view.render import fill, run_address
 from asia.ledger.run import model_to_use
 from asia.ledger.view import Experiment
+from asia.presentation.experiments import error_decimals_of
 from asia.presentation.table import error_value
 from asia.problem.problem import Problem
 from asia.recipe import read_recipe
 from asia.report.page.render import picture
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of
 from asia.report.page.sections.verdict import draw_panel, stamp, tested_figure
-from asia.report.page.subject import Subject, decimals_of
+from asia.report.page.subject import Subject
 from asia.report.pictures.progress import draw_comparison
 from asia.report.pictures.simulation import Panel, simulation_panels
 
@@ -126,7 +127,7 @@ def comparison_part(compared: Sequence[Compared]) -> Markup:
             for (one, e), row in zip(chosen, costs, strict=True)
         ],
         costs=[names[k] for k in known],
-        decimals=decimals_of([e for _, e in chosen]),
+        decimals=error_decimals_of([e for _, e in chosen]),
         settings=settings,
         common=sum(is_same for _, _, is_same in settings),
         boxes=_overlays(compared),

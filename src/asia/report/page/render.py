@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -12,13 +12,19 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from asia._files import PACKAGE
-from asia._text import printable
-from asia.presentation.table import FORMATS
+from asia._text import one_line, printable
+from asia.presentation.table import FORMATS, Block
 from asia.report.drawing.inline import PANEL, WIDE, svg_of
 from asia.report.page.code import python
 from asia.report.page.formulas import equations
 
 _FOLDER: Final = PACKAGE / "report" / "page" / "templates"
+
+
+def _sentence(text: str, end: str = ".") -> str:
+    """A text as a sentence that ends with `end`."""
+    line = one_line(text, 2000)
+    return f"{line[:1].upper()}{line[1:].removesuffix('.')}{end}"
 
 
 @cache
@@ -34,7 +40,7 @@ def environment(*folders: Path) -> Environment:
         lstrip_blocks=True,
         finalize=_finalized,
     )
-    found.filters.update(FORMATS)
+    found.filters.update(FORMATS, sentence=_sentence)
     functions: dict[str, Any] = {"equations": equations, "python": python}
     found.globals.update(functions)
     return found
@@ -49,6 +55,11 @@ def _finalized(value: Any) -> Any:
 def render(template: str, *folders: Path, **values: Any) -> Markup:
     """Fill a template of the report, or of other folders."""
     return Markup(environment(*folders).get_template(template).render(values))
+
+
+def show(blocks: Iterable[Block]) -> Markup:
+    """Write blocks one below the other; markup as it is."""
+    return render("blocks.html", blocks=[*blocks])
 
 
 def picture(draw: Callable[[], Figure], alt: str, width: float = WIDE) -> Markup:

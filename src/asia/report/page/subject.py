@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -17,10 +17,11 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Noted
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment, SearchView
-from asia.presentation.table import error_decimals, error_value
+from asia.presentation.experiments import error_decimals_of
+from asia.presentation.table import Block, error_value
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.report.page.render import render
+from asia.report.page.render import render, show
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class Subject:
 
     @cached_property
     def _decimals(self) -> int:
-        return decimals_of(self.view.finished)
+        return error_decimals_of(self.view.finished)
 
     def v(self, experiment: Experiment, decimals: int = 0) -> str:
         """Format V of an experiment that has a score, with as many decimals as its search needs.
@@ -129,12 +130,6 @@ class Subject:
             if reference.name == name and isinstance(reference.outcome, Score):
                 return reference.outcome.value
         return None
-
-
-def decimals_of(experiments: Iterable[Experiment]) -> int:
-    """Number of decimals with which the V of these experiments read differently."""
-    scored = [(e.score.value, result_of(e).threshold) for e in experiments if e.score is not None]
-    return error_decimals(*zip(*scored, strict=True)) if scored else 4
 
 
 def result_of(experiment: Experiment) -> Evaluated:
@@ -154,16 +149,16 @@ class Cost:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: a function in `sections`, a line in its `__init__`, and a template. A
-    plug-in brings it by an entry point."""
+    """A part of the page: a function in `sections`, a line in its `__init__`, and a template unless
+    it consists of blocks. A plug-in brings it by an entry point."""
 
     key: str
     """Its anchor."""
     title: str
     """Its heading."""
-    content: Callable[[Subject], dict[str, Any] | None]
-    """Function that returns what the template shows beside the subject; None if the run has nothing
-    for it."""
+    content: Callable[[Subject], dict[str, Any] | list[Block] | None]
+    """Function that returns blocks, or what its template shows beside the subject; None if the run
+    has nothing for it."""
     template: str = ""
     """Template of the report; default: `sections/KEY.html`."""
     folder: Path | None = None
@@ -176,10 +171,12 @@ class Section:
     cost: Cost | None = None
 
     def write(self, subject: Subject, link: str = "#e") -> Markup | None:
-        """Fill its template. link: address of an experiment without its number."""
+        """Write it. link: address of an experiment without its number."""
         found = self.content(subject)
         if found is None:
             return None
+        if isinstance(found, list):
+            return show(found)
         template = self.template or f"sections/{self.key}.html"
         folders = () if self.folder is None else (self.folder,)
         return render(template, *folders, subject=subject, link=link, **found)

@@ -49,7 +49,7 @@ def test_a_line_a_check_a_record_in_the_ledger_and_a_section_of_the_report(
     assert (finished / "report" / "validation.png").is_file()
     event = open_run(finished).view.validated[0]
     assert [one.name for one in event.checks] == names
-    assert f"checks  {summary}" in asia("status", finished).out
+    assert f"checks   {summary}" in asia("status", finished).out
     before = len(open_run(finished).lines)
     assert verify(finished).records == before
     # The same validation is recorded once.

@@ -6,9 +6,9 @@ import pytest
 
 import asia
 from asia.errors import UserError
-from asia.interfaces.cli.output import RESIDUALS_SHOWN
 from asia.interfaces.workspace.server import RunDesk
 from asia.ledger.run import open_run
+from asia.presentation.experiments import RESIDUALS_SHOWN
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text, protocol_digest
 from asia.problem.problem import Seal
@@ -59,8 +59,8 @@ def test_the_commands_say_it(tmp_path: Path) -> None:
     done = command_line(*words)
     assert done.code == 0, done.err
     assert RESIDUALS_SHOWN in done.out
-    assert "V is     with held-out residuals shown" in done.out
-    assert "V is with held-out residuals shown" in command_line("status", "--runs", runs).out
+    assert "V is     with held-out residuals: " in done.out
+    assert "V is     with held-out residuals: " in command_line("status", "--runs", runs).out
     assert "residuals: of the held-out samples too" in command_line("check", problem).out
 
 

@@ -155,7 +155,7 @@ def test_a_search_without_a_bounded_candidate_says_not_usable(tmp_path: Path) ->
     assert {test.outcome for test in view.refitted.stress} == {"diverges"}
     shown = command_line("status", "--runs", directory.parent)
     line = next(line for line in shown.out.splitlines() if line.startswith("verdict"))
-    assert line.startswith("verdict not usable: On training inputs in other combinations the")
+    assert line.startswith("verdict  not usable: On training inputs in other combinations the")
     assert "times as far from the middle of its training range" in line
 
 

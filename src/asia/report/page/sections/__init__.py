@@ -21,7 +21,6 @@ _OWN = (
     evidence.VALIDATION,
     evidence.CONFIRMATION,
     verdict.TESTED,
-    evidence.BANDS,
     verdict.HANDOVER,
     experiments.PROGRESS,
     experiments.TRADEOFF,

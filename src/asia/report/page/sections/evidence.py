@@ -1,4 +1,4 @@
-"""Sections of evidence: parameters, bands, confirmation, ablation, validation."""
+"""Sections of evidence: parameters, confirmation, ablation, validation."""
 
 from __future__ import annotations
 
@@ -14,103 +14,31 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from asia._files import read_file
-from asia._text import one_line
 from asia.judge.scoring.checks.check import Verdict
-from asia.ledger.evidence import (
-    DrawnCheck,
-    IdentifiedModel,
-    IdentifiedParameter,
-    get_curves,
-    identified,
-)
-from asia.presentation.parameters import interval_lines, parameter_remarks
-from asia.presentation.table import FORMATS
+from asia.ledger.evidence import DrawnCheck, get_curves, identified
+from asia.presentation.parameters import identified_blocks
+from asia.presentation.results import ablation_blocks, confirmation_blocks
+from asia.presentation.table import Block
 from asia.report.drawing.inline import PANEL
 from asia.report.page.render import picture
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.analysis import draw_poles
 from asia.report.pictures.evidence import draw_check
 
-# The ablation: contributions of the changes to the gain of the best candidate.
+# The ablation, the output bands and the repeated fits.
 
 
-_PARTS = (
-    ("its model, with the training of the baseline", "model"),
-    ("its training, with the model of the baseline", "training"),
-    ("interaction of both", "interaction"),
-    ("in all", "gain"),
-)
-
-
-def _ablation(subject: Subject) -> dict[str, Any] | None:
+def _ablation(subject: Subject) -> list[Block] | None:
     found = subject.view.ablated
-    if found is None:
-        return None
-    interval, crossing = FORMATS["interval"], found.crossing
-    parts = [
-        [text, interval(getattr(crossing, name), "signed_error")] for text, name in _PARTS
-    ] if crossing is not None else []  # fmt: skip
-    changes = [
-        [
-            f"#{one.experiment:02d}",
-            one.detail if one.loss is None else interval(one.loss, "signed_error"),
-        ]
-        for one in found.left_out
-    ]
-    return {"found": found, "parts": parts, "changes": changes}
+    return found and [*ablation_blocks(found, subject.view.v_name)]
 
 
 SECTION = Section("ablation", "Ablation", _ablation)
 
 
-# The output bands: their coverage on the sealed test.
-
-
-def _bands(subject: Subject) -> dict[str, Any] | None:
-    opened = subject.view.unsealed
-    if opened is None or opened.bands is None:
-        return None
-    rows = [
-        [name, FORMATS["share"](covered)]
-        for name, covered in zip(opened.channels, opened.bands.covered, strict=False)
-    ]
-    return {"bands": opened.bands, "rows": rows}
-
-
-BANDS = Section("bands", "Output bands", _bands)
-
-
-# The confirmation: significance of the best candidate over repeated fits.
-
-
-def _confirmation(subject: Subject) -> dict[str, Any] | None:
+def _confirmation(subject: Subject) -> list[Block] | None:
     found = subject.view.confirmed
-    if found is None:
-        return None
-    rows = [
-        [
-            f"#{one.experiment:02d}",
-            f"{one.best_rank}"
-            if one.worst_rank == one.best_rank
-            else f"{one.best_rank} to {one.worst_rank}",
-            FORMATS["interval"](one.value, "error"),
-            FORMATS["error"](one.first),
-            "fits do not depend on the seed"
-            if one.deterministic
-            else "" if one.spread is None else FORMATS["sig"](one.spread, 2),
-            f"{one.failed}",
-        ]
-        for one in found.candidates
-    ]  # fmt: skip
-    pairs = [
-        [
-            f"#{pair.first:02d} and #{pair.second:02d}",
-            FORMATS["interval"](pair.difference, "signed_error"),
-            "is better" if pair.apart else "statistically equal",
-        ]
-        for pair in found.pairs
-    ]
-    return {"found": found, "rows": rows, "pairs": pairs}
+    return found and [*confirmation_blocks(found, subject.view.v_name)]
 
 
 CONFIRMATION = Section("confirmation", "Significance", _confirmation)
@@ -119,41 +47,9 @@ CONFIRMATION = Section("confirmation", "Significance", _confirmation)
 # The equations and parameters of the best candidate, fitted to all training records.
 
 
-def _identified(subject: Subject) -> dict[str, Any] | None:
+def _identified(subject: Subject) -> list[Block] | None:
     found = identified(subject.run)
-    if found is None or not (found.equations or found.parameters):
-        return None
-    head = ["parameter", "value", "unit", "standard error", "standard error by folds",
-            "interval", "interval decided by", "remark"]  # fmt: skip
-    rows = [_parameter(found, one) for one in found.parameters]
-    kept = [k for k in range(len(head)) if k in (0, 1) or any(row[k] for row in rows)]
-    own = "" if found.library else ", as the candidate's own code reports them"
-    pairs = [[f"{a} and {b}", FORMATS["signed"](rho)] for a, b, rho in found.entangled[:5]]
-    return {
-        "found": found,
-        "equations_text": "\n".join(one_line(line, 600) for line in found.equations),
-        "head": [head[k] for k in kept],
-        "rows": [[row[k] for k in kept] for row in rows],
-        "caption": f"Parameters, {found.source}{own}",
-        "interval_lines": interval_lines(found),
-        "has_intervals": any(one.interval is not None for one in found.parameters),
-        "pairs": pairs,
-    }
-
-
-def _parameter(found: IdentifiedModel, one: IdentifiedParameter) -> list[str]:
-    fitted, sig = one.fitted, FORMATS["sig"]
-    by_folds = "" if one.fold_error is None or one.is_count else sig(one.fold_error, 2)
-    return [
-        one_line(fitted.name),
-        sig(fitted.value, 5),
-        one_line(fitted.unit),
-        "" if fitted.standard_error is None else sig(fitted.standard_error, 2),
-        by_folds,
-        "" if one.interval is None else " to ".join(map(sig, one.interval)),
-        "" if one.interval is None else one.decided_by,
-        "; ".join(parameter_remarks(found, one)),
-    ]
+    return None if found is None else [*identified_blocks(found)] or None
 
 
 IDENTIFIED = Section("identified", "Identified parameters", _identified)

@@ -12,18 +12,21 @@ from typing import Any, Final
 
 from markupsafe import Markup
 
-from asia._text import one_line
 from asia.agents.expert_result import expert_result
-from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Noted
 from asia.ledger.view import Experiment
-from asia.presentation.experiments import error_line, phase_text
+from asia.presentation.experiments import (
+    error_line,
+    experiments_table,
+    phase_text,
+    references_table,
+)
 from asia.presentation.table import FORMATS
 from asia.problem.problem import is_described
 from asia.report.drawing.inline import WIDE, svg_of
 from asia.report.page.code import change
-from asia.report.page.render import picture, render
+from asia.report.page.render import picture, render, show
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.pictures.experiments import (
     LineageRow,
@@ -181,23 +184,12 @@ def _progress(subject: Subject) -> dict[str, Any] | None:
     if not view.finished:
         return None
     listed = {e.number for e in subject.listed}
-    rows: list[list[str]] = []
-    before: float | None = None
-    for e in view.bests:
-        if e.score is None or e.number not in listed:
-            continue
-        gap = _relative(e.score.value, before) if before else ""
-        title = one_line(e.proposed.title)
-        rows.append([f"#{e.number:02d}", title, subject.v(e), gap])
-        before = e.score.value
-    references = [
-        [
-            one_line(r.name),
-            FORMATS["error"](r.outcome.value) if isinstance(r.outcome, Score) else "no score",
-        ]
-        for r in view.references
-    ]
-    return {"drawn": progress_figure(subject), "references": references, "rows": rows}
+    bests = [e for e in view.bests if e.score is not None and e.number in listed]
+    return {
+        "drawn": progress_figure(subject),
+        "references": show([references_table(view)] if view.references else []),
+        "bests": show([experiments_table(bests, view)]),
+    }
 
 
 def progress_figure(subject: Subject) -> Markup:

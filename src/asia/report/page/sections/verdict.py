@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -15,17 +14,25 @@ from asia.analysis.verdict import alarms, unguarded, usability
 from asia.judge.evaluation.references import CONTROLLERS
 from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.outcome import Score
-from asia.ledger.events import Evaluated, RefitCheck, TestedModel, Unsealed, Use
+from asia.ledger.events import TestedModel, Unsealed, Use
 from asia.ledger.evidence import identified
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.simulated import final_models
 from asia.ledger.view import Experiment, SearchView
-from asia.presentation.table import FORMATS
+from asia.presentation.experiments import fold_blocks
+from asia.presentation.results import (
+    USES,
+    final_models_table,
+    sealed_test_blocks,
+    second_fit_text,
+    stack_text,
+)
+from asia.presentation.table import FORMATS, Block
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.report.drawing.inline import PANEL
-from asia.report.page.render import picture, render
-from asia.report.page.subject import Section, Subject, result_of
+from asia.report.page.render import picture, render, show
+from asia.report.page.subject import Section, Subject
 from asia.report.pictures.simulation import (
     Panel,
     draw_overlay,
@@ -75,19 +82,12 @@ def stamp(view: SearchView) -> tuple[str, str]:
     return kind.capitalize(), _COLOURS[kind]
 
 
-_USES = {
-    "ensemble": "the ensemble, the mean of the fold models",
-    "refit": "the refit, the best candidate fitted to all training records",
-    "stack": "the stack, a weighted mean of several candidates",
-}
-
-
 def _content(subject: Subject) -> dict[str, Any] | None:
     view, best, named = subject.view, subject.view.best, model_to_use(subject.view)
     if subject.run.state == "running" and not view.finished:
         return None
     text, kind = stamp(view)
-    use = "" if named is None else _USES[named.model]
+    use = "" if named is None else USES[named.model]
     if subject.is_control and named is not None and named.model == "refit":
         use = "the one designed for all training scenarios"
     if best is None or best.score is None or named is None:
@@ -205,28 +205,15 @@ def _handover(subject: Subject) -> dict[str, Any] | None:
         f'import asia\n\nfound = asia.simulate("runs/{name}", past_u, past_y, u, bands=0.9)\n'
         "found.y_hat, found.lower, found.upper, found.outside\n"
     )
-    rows = [] if refitted is None or refitted.check is None else _final_rows(refitted.check)
-    return {"named": named, "refitted": refitted, "rows": rows, "source": source}
-
-
-def _final_rows(check: RefitCheck) -> list[list[str]]:
-    """Error of each final model, and its difference from the ensemble."""
-    error = FORMATS["error"]
-
-    def shown(value: float | None, missing: str = "") -> str:
-        return missing if value is None else error(value)
-
-    rows = [
-        [f"model of fold {k + 1}", shown(value, "no answer"), ""]
-        for k, value in enumerate(check.fold_errors)
-    ]
-    if check.ensemble_error is not None:
-        rows.append(["ensemble", error(check.ensemble_error), ""])
-    for k, start in enumerate(check.starts):
-        name = "refit" if check.kept == k + 1 else "refit, not used"
-        name += f" ({start.failed})" if start.failed else ""
-        rows.append([name, shown(start.value, "no answer"), shown(start.disagreement)])
-    return rows
+    blocks: list[Block] = []
+    if refitted is not None:
+        if refitted.check is not None:
+            blocks.append(final_models_table(refitted.check))
+        if refitted.stack is not None:
+            blocks.append(f"stack: {stack_text(refitted.stack, view.v_name)}")
+        if refitted.again is not None:
+            blocks.append(second_fit_text(refitted.again))
+    return {"named": named, "blocks": show(blocks), "source": source}
 
 
 HANDOVER = Section("use", "The model to use", _handover)
@@ -239,57 +226,25 @@ def _tested(subject: Subject) -> dict[str, Any] | None:
     opened = subject.view.unsealed
     if opened is None:
         return None
-    found = final_models(opened)
-    models = {text: (key, m) for key, text, m in found if isinstance(m, TestedModel)}
+    models = [m for m in final_models(opened) if isinstance(m[2], TestedModel)]
     named = model_to_use(subject.view)
-    use = named.model if named else ""
-    chosen = next(((text, m) for text, (key, m) in models.items() if key == use), None)
+    use = named.model if named else None
     boards: list[Any] = []
     drawn: Markup | None = None
+    total = True
     if subject.problem is not None:
         board = read_board(subject.problem, subject.view)
+        total = board.unit_is_outputs
         boards = [_board(board, k) for k in range(len(board.standings) if board.entries else 0)]
     if subject.problem is not None and models:
-        text, model = chosen or next((text, m) for text, (_, m) in models.items())
+        _, text, model = next((m for m in models if m[0] == use), models[0])
+        assert isinstance(model, TestedModel)
         title = f"Sealed test: experiment {opened.experiment}"
         alt = f"Measured outputs of the test and the simulation of the {text}"
         draw = partial(draw_tested, subject.run, subject.problem, opened, {text: model}, title)
         drawn = picture(draw, alt)
-    return {
-        "opened": opened,
-        "failed": [text for _, text, m in found if not isinstance(m, TestedModel)],
-        "texts": list(models),
-        "names": [f"{text} (to use)" if key == use else text for text, (key, _) in models.items()],
-        "errors": _test_rows(opened, [m for _, m in models.values()]),
-        "records": _record_rows(opened, [m for _, m in models.values()]),
-        "horizons": None if chosen is None or chosen[1].mee is None else chosen,
-        "boards": boards,
-        "drawn": drawn,
-    }
-
-
-def _test_rows(opened: Unsealed, models: Sequence[TestedModel]) -> list[list[str]]:
-    """A row for each metric and output, a column for each model."""
-    rows: list[list[str]] = []
-    for k, score in enumerate(models[0].scores if models else ()):
-        label, scores = find_metric(score.metric).label, [model.scores[k] for model in models]
-        if len(opened.channels) > 1:
-            means = (FORMATS["sig"](one.value) for one in scores)
-            rows.append([f"{label} mean over the outputs", *means])
-        for c, name in enumerate(opened.channels):
-            values = (FORMATS["sig"](one.per_channel[c]) for one in scores)
-            rows.append([f"{label} {name}", *values])
-    return rows
-
-
-def _record_rows(opened: Unsealed, models: Sequence[TestedModel]) -> list[list[str]]:
-    """The error on each test record; [] for a single one."""
-    if len(opened.trajectories) < 2 or not models:
-        return []
-    return [
-        [name, *(FORMATS["sig"](model.scores[0].per_trajectory[i]) for model in models)]
-        for i, name in enumerate(opened.trajectories)
-    ]
+    blocks = show(sealed_test_blocks(opened, use, total=total))
+    return {"blocks": blocks, "boards": boards, "drawn": drawn}
 
 
 def _board(board: Board, index: int) -> tuple[str, list[tuple[str, float, bool, float]]]:
@@ -310,36 +265,17 @@ TESTED = Section("test", "The sealed test", _tested)
 # The best candidate on the data that it was not fitted to.
 
 
-def _accuracy(subject: Subject) -> dict[str, Any] | None:
+def _accuracy(subject: Subject) -> list[Block] | None:
     best = subject.view.best
     if best is None or best.score is None or subject.is_control:
         return None
-    head, rows = _accuracy_table(subject, result_of(best), best.score)
-    return {"head": head, "rows": rows, "drawn": draw_held_out(subject, best)}
-
-
-def _accuracy_table(
-    subject: Subject, result: Evaluated, score: Score
-) -> tuple[list[str], list[list[str]]]:
-    metric, started = find_metric(subject.run.metric), subject.view.started
-    # Of many outputs the errors of each would not fit.
-    outputs = started.outputs if len(started.outputs) <= 4 else ()
-    head = ["fold", "V", *(f"{metric.label} {name}" for name in outputs)]
-    head += ["lowest fit index", "scaled error on its training data", "duration of the fit [s]"]
-    rows: list[list[str]] = []
-    for k, (fold, evidence) in enumerate(zip(score.folds, result.folds, strict=True)):
-        errors = fold.per_channel(metric.name)[: len(outputs)]
-        # The block says nothing that the samples do not.
-        name = re.sub(r"^block \d+ of \d+: (?=samples)", "", "".join(started.folds[k : k + 1]))
-        rows.append([
-            f"{k + 1}: {name}" if name else f"{k + 1}",
-            FORMATS["error"](fold.value),
-            *map(FORMATS["sig"], errors),
-            "none" if fold.worst_fit is None else FORMATS["percent"](fold.worst_fit),
-            FORMATS["error"](evidence.diagnostics.train_error),
-            FORMATS["sig"](evidence.fit_seconds, 3),
-        ])  # fmt: skip
-    return head, rows
+    drawn = draw_held_out(subject, best)
+    return [
+        "Each fold of the cross-validation held out a part of the training records. Its model "
+        "simulated that part from its start, and received no measured output after the start.",
+        *fold_blocks(best, subject.view, subject.run.metric),
+        *([drawn] if drawn else []),
+    ]
 
 
 def draw_held_out(subject: Subject, experiment: Experiment) -> Markup | None:

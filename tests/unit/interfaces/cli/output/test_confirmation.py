@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
 
-from asia.interfaces.cli.validate import confirmation_lines, verdict
 from asia.judge.scoring.repeated_fits import ExpectedError, Interval
 from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair
+from asia.presentation.results import confirmation_blocks, confirmation_verdict
+from asia.presentation.table import block_lines
 from tests.unit.interfaces.cli.conftest import Asia, Searched
 
 
@@ -35,16 +37,17 @@ FOUND = Confirmed(
 
 
 def test_words_that_a_person_understands() -> None:
-    text = "\n".join(confirmation_lines(FOUND))
-    assert "#09 and #12 are statistically equal: they differ by 0.001 (-0.004 to 0.006)" in text
-    assert "#12 is better than #03 by 0.099 (0.08 to 0.12)" in text
-    assert "rank 1 to 2" in text
-    assert "rank 3 " in text
+    text = "\n".join(block_lines(confirmation_blocks(FOUND)))
+    plain = re.sub(" +", " ", text)
+    assert "#09 and #12 +0.0010 (-0.0040 to +0.0060) statistically equal" in plain
+    assert "#12 and #03 +0.0990 (+0.0800 to +0.1200) #12 is better" in plain
+    assert "#12 1 to 2 0.1010 (0.0910 to 0.1110)" in plain
+    assert "#03 3 0.2000" in plain
     assert "selection from 15 candidates" in text
-    assert "0.1100, 90 % between 0.0900 and 0.1400" in text
+    assert "one fold model 0.1100 0.0900 to 0.1400" in plain
     assert "after the sealed test" not in text
     assert "after the sealed test" in "\n".join(
-        confirmation_lines(replace(FOUND, after_unsealing=True))
+        block_lines(confirmation_blocks(replace(FOUND, after_unsealing=True)))
     )
 
 
@@ -60,7 +63,7 @@ def test_words_that_a_person_understands() -> None:
     ],
 )
 def test_the_verdict(found: Confirmed, words: str) -> None:
-    assert words in verdict(found)
+    assert words in confirmation_verdict(found)
 
 
 def test_the_command_tells_progress_and_result_and_status_and_show_repeat_it(
@@ -76,8 +79,10 @@ def test_the_command_tells_progress_and_result_and_status_and_show_repeat_it(
     again = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
     assert "nothing new to fit" in again.err
     assert again.out == done.out
-    assert "confirm #01 was the only candidate repeated" in asia("status", searched.name, *runs).out
-    assert "confirmed   rank 1" in asia("show", searched.name, *runs).out
+    assert (
+        "confirm  #01 was the only candidate repeated" in asia("status", searched.name, *runs).out
+    )
+    assert "fitted again from other seeds:" in asia("show", searched.name, *runs).out
     found = json.loads(
         asia("validate", searched.name, "--repeat", "--seeds", 2, "--json", *runs).out
     )

@@ -21,7 +21,7 @@ def test_status_and_show_repeat_what_the_agent_remarked(asia: Asia, searched: Se
         if proposed:
             break
     ledger.write_bytes(kept)
-    assert "remark  the loop is closed" in asia("status", searched.name, *runs).out
+    assert "remark   the loop is closed" in asia("status", searched.name, *runs).out
     status = json.loads(asia("status", searched.name, "--json", *runs).out)
     assert status["remark"] == "the loop is closed"
     assert "remark      the loop is closed" in asia("show", searched.name, *runs).out
