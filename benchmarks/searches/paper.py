@@ -20,8 +20,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from asia.agents.library.family import FEWEST_STEPS, Family
+from asia.agents.library.methods import adam
+from asia.agents.library.registry import family
+from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.random import RandomAgent
 from asia.agents.registry import NamedAgent, choose_agent
-from asia.agents.view import AgentView, Proposal
+from asia.agents.view import AgentView, Facts, Proposal
 from asia.analysis.comparison import (
     Row,
     experiments_to_reach,
@@ -33,6 +38,7 @@ from asia.analysis.comparison import (
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
+from asia.recipe import Recipe
 from asia.search.settings import SearchSettings
 from harness import number, option_parser, table
 
@@ -64,11 +70,57 @@ class FixedAgent:
         )
 
 
+class PaperRandom(RandomAgent):
+    """The random control of the paper: an LSTM that runs freely on its own output, alone or as the
+    residual of the equations, with width, depth, learning rate, dropout and weight decay drawn."""
+
+    def families(self, facts: Facts) -> tuple[Family, ...]:
+        """The two model classes, the second where the problem has equations for it; fits are long
+        ones, by Adam alone."""
+        space = Space(
+            config=(Span("hidden", 16, 128, whole=True), OneOf("layers", (1, 2, 3))),
+            options=(
+                Span("learning_rate", 1e-4, 1e-2),
+                Span("dropout", 0.0, 0.3, log=False),
+                Span("weight_decay", 1e-6, 1e-2),
+            ),
+        )
+
+        def start(row: Family, facts: Facts) -> Recipe:
+            if row.name == "physics_net":
+                config = (("network", "lstm"), ("hidden", 32), ("layers", 1))
+                return Recipe("physics_net", config, "Adam", adam(facts, "heavy", "full", 1e-3))
+            return row.full(facts).configured(cell="lstm")
+
+        def settle(_: Facts, recipe: Recipe) -> Recipe:
+            """Fewer steps for larger networks: an update costs about the square of the width, times
+            the layers."""
+            larger = recipe.number("layers", 1) * (recipe.number("hidden", 32) / 32) ** 2
+            steps = recipe.number("steps", FEWEST_STEPS) / max(1.0, larger)
+            return recipe.trained(steps=max(FEWEST_STEPS, round(steps)))
+
+        rows = (family(name) for name in ("autoregressive", "physics_net"))
+        return tuple(
+            replace(
+                row, start=partial(start, row), space=lambda _: space, methods=(), settle=settle
+            )
+            for row in rows
+            if row is not None and row.suits(facts)
+        )
+
+
+def make(name: str) -> NamedAgent:
+    """The agent of a name; the ledger keeps that of the paper as `random` in another space."""
+    if name == "random-paper":
+        return NamedAgent(PaperRandom(), {"space": "paper"})
+    return choose_agent(name)
+
+
 def search_all(
     problem: Problem, agents: list[str], names: tuple[str, ...], options: Any
 ) -> tuple[dict[tuple[str, int], SearchView], list[SearchView]]:
     """Search with every agent and seed; the views, and those of the rebuilt configurations."""
-    made = [(name, partial(choose_agent, name)) for name in agents]
+    made = [(name, partial(make, name)) for name in agents]
     searches = plan_searches(problem, made, options.seeds, options.experiments)
     if names:
         budget = replace(problem.budget, fit_seconds=REFERENCE_SECONDS)

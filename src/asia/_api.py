@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from asia.agents.random import SpaceName
 from asia.agents.registry import NamedAgent, choose_agent
 from asia.agents.view import Agent, settings_of
 from asia.judge.executors import Executor, make_executor
@@ -25,7 +24,6 @@ def run(
     runs: Path | str = "runs",
     name: str | None = None,
     early_stopping: EarlyStopping | None = None,
-    space: SpaceName | None = None,
     executor: Executor | str = "local",
     sinks: Sequence[str | OpenSink] = (),
     parallel: int = 1,
@@ -39,7 +37,6 @@ def run(
         problem: a loaded problem, a built-in name or a path
         agent: an agent, or its name as in `asia run --agent`: `module:Class` for one of your own
         early_stopping: in place of the problem's own setting
-        space: search space of the agent "random"
         executor: one of `executor_names()`, or an object, that runs the evaluations
         sinks: receivers of events: an installed one by name, `module:Name`, or a function that
             opens one, see `asia.search.sinks.Sink`
@@ -51,9 +48,7 @@ def run(
         UserError: for anything the caller can correct
     """
     chosen = (
-        choose_agent(agent, space)
-        if isinstance(agent, str)
-        else NamedAgent(agent, settings_of(agent))
+        choose_agent(agent) if isinstance(agent, str) else NamedAgent(agent, settings_of(agent))
     )
     share = guard_share(chosen.agent.name, guard)
     loaded = problem if isinstance(problem, Problem) else load_problem(problem, share)

@@ -5,7 +5,6 @@ import re
 import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import cast
 
 from asia._plugins import Part, load_target, parts_of
@@ -15,7 +14,7 @@ from asia.agents.expert.agent import ExpertAgent
 from asia.agents.leading import FOLLOWING, LeadingAgent, read_leading_settings
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.settings import LlmSettings
-from asia.agents.random import SPACES, RandomAgent
+from asia.agents.random import RandomAgent
 from asia.agents.view import Agent, settings_of
 from asia.errors import UserError
 from asia.ledger.events import Started
@@ -61,14 +60,6 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
         designs_controllers=False,
     ),
     AgentRow(
-        "random-paper",
-        "draws from the paper's space",
-        partial(RandomAgent, "paper"),
-        reads_notes=False,
-        writes_code=False,
-        designs_controllers=False,
-    ),
-    AgentRow(
         "bayes",
         "estimates where the library is best (Parzen estimator)",
         BayesAgent,
@@ -106,33 +97,22 @@ class NamedAgent:
     """Settings, and the class of an agent that is not built in."""
 
 
-def choose_agent(name: str, space: str | None = None) -> NamedAgent:
+def choose_agent(name: str) -> NamedAgent:
     """Make an agent by name.
 
     A name is that of a built-in agent, one that a package registers, or `module:Class`, where the
     current folder is searched first. A class is called without arguments.
 
-    Args:
-        space: search space of `random`, one of `SPACES`
-
     Raises:
-        UserError: for an unknown name or space, a space for an agent that does not use one, and
-            a class that cannot be imported or is no agent
+        UserError: for an unknown name, and a class that cannot be imported or is no agent
     """
-    if space is not None and name != "random":
-        raise UserError(
-            f"--space {space}: only the agent 'random' draws from a space, not '{name}'"
-        )
-    if space is not None and space not in SPACES:
-        raise UserError(f"--space {space}: expected one of {', '.join(SPACES)}")
-    full = name if space in (None, "library") else f"{name}-{space}"
     if name == "llm":
         raise UserError(
             "the agent llm needs a model: asia run --agent llm --model NAME, or "
             "LlmAgent(LlmSettings(model=...))"
         )
-    if full in AGENTS:
-        return NamedAgent(AGENTS[full]())
+    if name in AGENTS:
+        return NamedAgent(AGENTS[name]())
     brought = {part.name: part for part in parts_of(GROUP)}
     if name in brought and name not in RESERVED:
         return _called(brought[name])
@@ -142,9 +122,9 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
     raise UserError(f"no agent '{name}'; there is: {known}, or module:Class for one of your own")
 
 
-def make_agent(name: str, space: str | None = None) -> Agent:
+def make_agent(name: str) -> Agent:
     """The agent of `choose_agent`."""
-    return choose_agent(name, space).agent
+    return choose_agent(name).agent
 
 
 def recorded_agent(

@@ -10,11 +10,11 @@ import pytest
 from asia.agents import Facts, Trial
 from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.moves import all_moves
-from asia.agents.library.family import FEWEST_STEPS, Family, under_protocol
+from asia.agents.library.family import Family, under_protocol
 from asia.agents.library.methods import by_lbfgs
 from asia.agents.library.move import Situation
 from asia.agents.library.registry import all_families, families
-from asia.agents.random import _drawn, paper_families
+from asia.agents.random import _drawn
 from asia.models import methods
 from asia.models._networks.objective import check_structure
 from asia.testing.family import check_recipe, family_problem
@@ -134,21 +134,3 @@ def test_a_long_fit_is_no_shorter_than_a_trial(known: Facts) -> None:
         assert full.number("steps", 0) >= trial.number("steps", 0)
         longer += full.number("steps", 0) > 2 * trial.number("steps", 0)
     assert longer >= 5
-
-
-def test_the_papers_space_is_the_papers() -> None:
-    known = PROBLEMS["body"]
-    rng = np.random.default_rng(0)
-    rows = paper_families(known)
-    assert [row.name for row in rows] == ["autoregressive", "physics_net"]
-    assert [row.name for row in paper_families(PROBLEMS["windows"])] == ["autoregressive"]
-    for row in rows:
-        for _ in range(20):
-            recipe = _drawn(rng, row, known)
-            check_recipe(recipe)
-            assert recipe.method == "Adam"
-            assert recipe.get("network" if row.name == "physics_net" else "cell") == "lstm"
-            assert 0 <= recipe.number("dropout", -1) <= 0.3
-            larger = recipe.number("layers", 1) * (recipe.number("hidden", 32) / 32) ** 2
-            steps = row.trial(known).number("steps", 1) / max(1, larger)
-            assert recipe.number("steps", 0) == max(FEWEST_STEPS, round(steps))

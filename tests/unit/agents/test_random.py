@@ -25,19 +25,6 @@ def test_draws_depend_on_the_seed_and_the_place_in_the_search() -> None:
     assert first != other
 
 
-def test_the_papers_space_has_its_own_name_and_the_papers_families() -> None:
-    agent = make_agent("random", "paper")
-    assert agent.name == "random-paper"
-    trials = search(lambda: make_agent("random", "paper"), windows(), 30)
-    assert len(trials) == 30
-    assert {t.family for t in trials} <= {"autoregressive", "physics_net"}
-    assert make_agent("random", "library").name == make_agent("random").name == "random"
-
-
-def test_a_space_is_refused_where_nothing_is_drawn_and_when_it_is_unknown() -> None:
-    with pytest.raises(UserError, match="only the agent 'random'"):
-        make_agent("expert", "paper")
-    with pytest.raises(UserError, match="expected one of library, paper"):
-        make_agent("random", "everything")
+def test_an_unknown_agent_is_refused() -> None:
     with pytest.raises(UserError, match="no agent 'nobody'"):
         make_agent("nobody")

@@ -78,7 +78,7 @@ def extend(
             for one in leading_experiments(old.view, min(_LEADING, budget - 2), _FAR)
             if one.score is not None
         ]  # fmt: skip
-        following = make_driver(agent, None, ModelOptions(), LlmOptions(), CommandOptions())
+        following = make_driver(agent, ModelOptions(), LlmOptions(), CommandOptions())
         folder = out or Path(f"{old.view.started.problem}-{record.stem}")
         problem, notes = extended_problem(old, record, folder)
         use, outcome = error_on_record(old, record, options.level)

@@ -89,9 +89,6 @@ def run(
         str,
         typer.Option(help="Agent: expert, random, bayes, llm, command:NAME, or your module:Class."),
     ] = "expert",
-    space: Annotated[
-        str | None, typer.Option(help="Search space of random: library (default), or paper.")
-    ] = None,
     options: SearchOptions,
     engine: EngineOptions,
     sink: Annotated[
@@ -117,7 +114,7 @@ def run(
     from asia.search.run import guard_share
 
     options.check()
-    driver = make_driver(agent, space, models, llm, command)
+    driver = make_driver(agent, models, llm, command)
     timer = ActivityTimer()
     with timer.activity(Activity.PREPARE):
         loaded = options.applied(load_problem(problem, guard_share(driver.name, guard)))
@@ -202,7 +199,7 @@ class Driver:
 
 
 def make_driver(
-    agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
+    agent: str, models: ModelOptions, llm: LlmOptions, command: CommandOptions
 ) -> Driver:
     """Make the driver of an agent. Raises UserError for an option of another agent."""
     from asia.agents.registry import choose_agent
@@ -213,11 +210,10 @@ def make_driver(
         (("llm",), given(llm, leave_out=("base_url", "api_key_env"))),
         (("command",), given(command, leave_out=("stuck_minutes",))),
         (("llm", "command"), given(models)),
-        (("random",), {"space": space}),
     ):
         whose = " or ".join("command:NAME" if owner == "command" else owner for owner in owners)
-        for name, value in options.items():
-            if value is not None and kind not in owners:
+        for name in options:
+            if kind not in owners:
                 raise UserError(
                     f"--{name.replace('_', '-')} is for --agent {whose}, and the agent is "
                     f"'{agent}': leave it out"
@@ -230,7 +226,7 @@ def make_driver(
         return Driver(model.name, lambda ready: model, model.recorded())
     if agent in PRESETS:
         raise UserError(f"--agent {agent}: write command:{agent}, as for every coding agent")
-    chosen = choose_agent(agent, space)
+    chosen = choose_agent(agent)
     return Driver(chosen.agent.name, lambda ready: chosen.agent, dict(chosen.settings))
 
 

@@ -74,7 +74,6 @@ def test_commands_that_begin_a_search_have_the_same_options() -> None:
         (("--anonymous",), "llm"),
         (("--network",), "command:NAME"),
         (("--max-tokens", 5), "llm or command:NAME"),
-        (("--space", "paper"), "random"),
     ],
 )
 def test_an_option_of_another_agent_is_refused(
