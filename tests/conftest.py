@@ -8,6 +8,7 @@ from pathlib import Path
 from zlib import crc32
 
 import pytest
+from hypothesis import settings
 
 from asia._files import config_folder
 from asia.judge.evaluation.references import LINEAR
@@ -16,6 +17,8 @@ from tests.once import made_once
 from tests.unit.search.toy import CRASH, arx, search_toy
 
 compile_cheaply()
+# Forty examples of a property find what a hundred find, but for the rarest cases.
+settings.register_profile("ci", settings.get_profile("ci"), max_examples=40)
 # A shell starts what runs in its background with interrupts ignored, and children inherit that: a
 # search that a test interrupts would go on.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -91,6 +91,7 @@ def test_every_scenario_begins_with_a_fresh_controller(evaluator: Evaluator) -> 
     assert np.array_equal(again[0][0], y_hat[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [

@@ -157,7 +157,7 @@ def largest_difference(pairs: Pairs) -> float:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @named(NETWORKS)
 def test_a_network_simulates_in_numpy_as_in_jax(
     row: Family, spy: Spy, monkeypatch: pytest.MonkeyPatch
@@ -225,11 +225,6 @@ def answered_elsewhere(models: dict[str, Any], folder: Path) -> None:
         answers = pickle.loads((folder / f"{name}.answers").read_bytes())
         for request, answer in zip(requests(), answers, strict=True):
             np.testing.assert_array_equal(answer, model.simulate(*request), name)
-
-
-@pytest.mark.long
-def test_networks_are_loaded_and_simulated_without_jax(tmp_path: Path) -> None:
-    answered_elsewhere({row.name: shaken(row) for row in NETWORKS}, tmp_path)
 
 
 @pytest.mark.long

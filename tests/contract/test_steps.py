@@ -21,6 +21,8 @@ from tests.unit.export.models import MODELS, NU, NY, PAST, SCALING
 from .test_simulation import cart, cart_context, requests, trained
 
 DOUBLE, SINGLE = 1e-9, 1e-5
+QUICK = ("linear with delay", "linear with levels", "neural_ss, median of 2",
+         "neural_ss with transport", "narx", "gp_narx", "esn with horizon", "gru")  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +53,9 @@ def check_steps(model: Any, cases: list[Any], past: int, nu: int, ny: int) -> No
         assert np.abs(found - expected).max() < limit * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in MODELS]
+)
 def test_simulation_equals_the_steps(name: str) -> None:
     """Unfitted parameters suffice for the comparison."""
     rng = np.random.default_rng(0)

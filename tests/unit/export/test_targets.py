@@ -18,25 +18,12 @@ from asia.lowering.program import Builder, LoweredModel
 
 from .models import MODELS, NU, NY, lowered_model, ready
 
-QUICK = ("linear with delay", "neural_ss, median of 2", "gru")
-
 
 @pytest.fixture(autouse=True)
 def precision() -> Iterator[None]:
     before = jax.config.jax_enable_x64
     yield
     jax.config.update("jax_enable_x64", before)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MODELS)
-def test_every_family_lowers(name: str) -> None:
-    given = ready(MODELS[name]())
-    low = given.model.lowered
-    limit = 2e-5 if low.single else 1e-11
-    for window in given.windows:
-        y = simulate(low, window.past_u, window.past_y, window.u)
-        assert np.abs(y - window.y_hat).max() < limit * max(1.0, float(window.y_hat.std()))
 
 
 def offered(target: str) -> str:
@@ -48,8 +35,10 @@ def offered(target: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize(
+    ("target", "name"),
+    [*(("c", name) for name in MODELS), *((target, "gru") for target in TARGETS if target != "c")],
+)
 def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> None:
     done = write(TARGETS[offered(target)], ready(MODELS[name]()), tmp_path / target)
     assert done.parity
@@ -59,8 +48,8 @@ def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize("name", [n for n in MODELS if n not in QUICK])
+@pytest.mark.parametrize("target", [target for target in TARGETS if target != "c"])
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "gru"])
 def test_all_families_by_all_targets(target: str, name: str, tmp_path: Path) -> None:
     done = write(TARGETS[offered(target)], ready(MODELS[name]()), tmp_path / target)
     assert all(row.holds and row.difference is not None for row in done.parity)
@@ -111,7 +100,7 @@ def one_sample_late(model: LoweredModel) -> LoweredModel:
     )
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", ["c", "numpy"])
 def test_an_output_that_is_one_sample_late_is_not_written(target: str, tmp_path: Path) -> None:
     model = MODELS["linear"]()
     late = ready(model, one_sample_late(lowered_model(model)))

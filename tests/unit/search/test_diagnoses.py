@@ -14,7 +14,7 @@ from asia.search.run import prepare, search
 from .toy import write_problem
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_saturated_drive_gets_a_saturation_next(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "drive", experiments=2, test=False)
     settings = problem / "problem.toml"

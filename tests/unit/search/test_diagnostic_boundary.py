@@ -151,7 +151,7 @@ def test_errors_raised_on_purpose_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     assert failed == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_model_that_fails_in_a_check_is_not_called_unstable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

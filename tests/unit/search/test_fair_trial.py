@@ -212,7 +212,7 @@ class Refining:
         return Proposal(source, "x", f"number {index}", "", "", parent=parent, fair=True)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_move_that_gains_nothing_ends_in_its_parent_without_a_fit(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy", experiments=3)
     stated = Recipe("neural_ss", (("hidden", 2), ("ridge", 1e-3)), *LM)

@@ -16,6 +16,7 @@ from asia.problem.load import load_problem
 from asia.search.extension import leading_experiments
 from asia.search.replay import replay_run
 from asia.search.run import guard_share, prepare, search
+from asia.search.unsealing import unseal
 
 from .toy import Scripted, arx, write_problem
 
@@ -82,15 +83,6 @@ def letters(values: list[float]) -> str:
 def copy(stored: str, share: float = 1.0) -> str:
     text = COPY.replace("{stored}", stored).replace("{share}", str(share))
     return arx(1).replace("def fit(", "def train(") + text
-
-
-def in_a_name(values: list[float], share: float = 1.0) -> str:
-    """The record as one long identifier."""
-    name = letters(values)
-    stored = "[(ord(one) - 97 - 12.5) * 0.05 for one in list(Names.__members__)[0][1:]]"
-    return copy(stored, share).replace(
-        "STORED =", f"import enum\n\n\nclass Names(enum.Enum):\n    x{name} = 1\n\n\nSTORED ="
-    )
 
 
 def in_an_order(values: list[float]) -> str:
@@ -215,15 +207,12 @@ def value(e: Experiment) -> float:
 
 def test_a_copied_record_is_unconfirmed_and_an_honest_model_is_kept(tmp_path: Path):
     problem = write_counted(tmp_path / "toy", guard=True)
-    values = errors(problem)
-    sources = (in_a_name(values), in_a_name(values, 0.3), in_an_order(values), arx(2))
-    view = go(problem, tmp_path / "runs", *sources)
-    first, whole, part, order, honest = view.finished
-    assert statuses(view) == ["keep", *["unconfirmed"] * 3, "keep"]
-    assert value(whole) < value(part) < value(first)
-    assert value(order) < value(first)
+    view = go(problem, tmp_path / "runs", in_an_order(errors(problem)), arx(2))
+    first, whole, honest = view.finished
+    assert statuses(view) == ["keep", "unconfirmed", "keep"]
+    assert value(whole) < value(first)
     assert view.bests == (first, honest)
-    assert view.guard_bits == 4
+    assert view.guard_bits == 2
     run = open_run(tmp_path / "runs" / "toy-scripted-s0")
     assert {e.number for e in leading_experiments(view, 5, 1e9)} == {first.number, honest.number}
     with pytest.raises(UserError, match="unconfirmed"):
@@ -236,10 +225,11 @@ def test_a_copied_record_is_unconfirmed_and_an_honest_model_is_kept(tmp_path: Pa
     verify(run.directory)
 
 
+@pytest.mark.slow
 def test_without_the_gate_the_same_copy_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("asia.search.run.can_read_records", lambda names: False)
     problem = write_counted(tmp_path / "toy", guard=True)
-    view = go(problem, tmp_path / "runs", in_a_name(errors(problem)))
+    view = go(problem, tmp_path / "runs", in_an_order(errors(problem)))
     assert statuses(view) == ["keep", "keep"]
     # The last look at the guard records says so.
     (words,) = alarms(view)
@@ -247,11 +237,7 @@ def test_without_the_gate_the_same_copy_is_kept(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gate", [True, False])
-def test_folds_that_whisper_are_unconfirmed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gate: bool
-):
-    monkeypatch.setattr("asia.search.run.can_read_records", lambda names: gate)
+def test_folds_that_whisper_are_unconfirmed(tmp_path: Path):
     # Without guard records the fits one by one are enough.
     problem = write_changing(tmp_path / "toy")
     (folder := tmp_path / "shared").mkdir()
@@ -259,25 +245,10 @@ def test_folds_that_whisper_are_unconfirmed(
     first, told = view.finished
     assert told.failure is None, told.failure
     assert value(told) < 0.6 * value(first)
-    assert statuses(view) == ["keep", "unconfirmed" if gate else "keep"]
-    if gate:
-        assert told.result is not None
-        assert told.result.confirmation is not None
-        assert told.result.confirmation.sequential == pytest.approx(0.0, abs=0.01)
-
-
-@pytest.mark.slow
-def test_small_edits_do_not_add_up(tmp_path: Path):
-    problem = write_counted(tmp_path / "toy", guard=True)
-    values = errors(problem)
-    worst = np.argsort(-np.abs(values))
-    sources: list[str] = []
-    for count in (8, 16, 32, 64):
-        table = {k: round(values[k], 1) for k in worst[:count].tolist()}
-        sources.append(copy(f"[{table}.get(k, 0.0) for k in range({len(values)})]"))
-    view = go(problem, tmp_path / "runs", *sources)
-    assert "keep" not in statuses(view)[1:]
-    assert view.best == view.finished[0]
+    assert statuses(view) == ["keep", "unconfirmed"]
+    assert told.result is not None
+    assert told.result.confirmation is not None
+    assert told.result.confirmation.sequential == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.slow
@@ -318,6 +289,7 @@ def test_a_first_best_that_fails_on_the_guard_records_stands_in_no_way(tmp_path:
     assert replay_run(tmp_path / "runs" / "toy-scripted-s0", lambda item: None).agrees
 
 
+@pytest.mark.slow
 def test_without_guard_records_a_result_is_doubtful_at_most(tmp_path: Path):
     problem = write_counted(tmp_path / "toy", guard=False)
     view = go(problem, tmp_path / "runs", arx(2))
@@ -327,6 +299,8 @@ def test_without_guard_records_a_result_is_doubtful_at_most(tmp_path: Path):
     assert judged is not None
     assert judged.kind != "usable"
     assert unguarded(view) in judged.reasons
+    with pytest.raises(UserError, match="has no test data"):
+        unseal(tmp_path / "runs" / "toy-scripted-s0", process_consent=True)
 
 
 @pytest.mark.slow

@@ -45,6 +45,7 @@ from asia.search.dry_runs import dry_run
 from asia.search.run import prepare, search
 from asia.search.scores import ScoreCheck
 from asia.search.simulation import simulated_excerpts
+from tests.unit.painting import unpainted
 
 from .toy import Scripted, arx, write_problem
 
@@ -111,7 +112,8 @@ def check(s: Searched) -> None:
     lines = check_problem(problem, seal(problem)).lines()
     assert any("missing outputs" in line for line in lines)
     failed: list[str] = []
-    assert draw_problem(problem, s.folder / "check", failed)
+    with unpainted():
+        assert draw_problem(problem, s.folder / "check", failed)
     assert failed == []
 
 
@@ -152,12 +154,13 @@ def bands(s: Searched) -> None:
 
 def report(s: Searched) -> None:
     failed: list[str] = []
-    assert write_report(s.run.directory, failed=failed)
+    with unpainted():
+        assert write_report(s.run.directory, failed=failed)
+        assert write_figures(s.run.directory, s.folder / "figures")
     assert failed == []
     page = write_page(s.run.directory).read_text()
     assert not re.search(r"check [^<]* failed:", page)
     assert "nan" not in page.lower().replace("nanodrone", "").split("<style>")[0]
-    assert write_figures(s.run.directory, s.folder / "figures")
 
 
 def view_pages(s: Searched) -> None:
@@ -173,7 +176,8 @@ def view_pages(s: Searched) -> None:
 
 def show(s: Searched) -> None:
     describe(wide_console(), s.run, s.run.view.experiment(2))
-    pictures = draw_cases(simulated_excerpts(s.run, 2))
+    with unpainted():
+        pictures = draw_cases(simulated_excerpts(s.run, 2))
     assert sorted(pictures) == ["residuals", "simulation"]
 
 
@@ -199,7 +203,8 @@ def workspace_tools(s: Searched) -> None:
     )
     lines = "\n".join(tables(tools.problem, found, whole=True, held_out=True))
     assert "nan" not in lines
-    assert draw(folder, tools.problem, "a candidate", found, held_out=True)
+    with unpainted():
+        assert draw(folder, tools.problem, "a candidate", found, held_out=True)
 
 
 def agents(s: Searched) -> None:
@@ -236,7 +241,7 @@ def test_the_test_is_opened(searched: Searched) -> None:
     assert not re.search(r"check [^<]* failed:", write_page(copy).read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_estimator(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy")
     with_gaps(problem / "train.csv")

@@ -36,10 +36,6 @@ def levels(rng: np.random.Generator, length: int) -> np.ndarray:
     return np.repeat(rng.standard_normal(SAMPLES // length), length)
 
 
-def noise(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    return levels(rng, 10), rng.standard_normal(SAMPLES)
-
-
 def input_without_effect(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     y = np.zeros(SAMPLES)
     for k in range(1, SAMPLES):
@@ -86,26 +82,29 @@ def judged(directory: Path, u: np.ndarray, y: np.ndarray) -> Usability:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [pytest.param(5, marks=pytest.mark.long), 6])
 @pytest.mark.parametrize(
     ("records", "kind", "cause"),
     [
         pytest.param(
-            noise,
+            input_without_effect,
             "not usable",
-            "no input and no squared input has a significant effect",
+            "no input and no squared input has a significant",
             marks=pytest.mark.long,
         ),
-        (input_without_effect, "not usable", "no input and no squared input has a significant"),
         (unstable_plant, "not usable", "Input u follows earlier outputs, and the plant between"),
-        (integrator, "doubtful", "Input u follows earlier outputs: in closed loop"),
+        pytest.param(
+            integrator,
+            "doubtful",
+            "Input u follows earlier outputs: in closed loop",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_the_verdict_names_the_cause(
-    tmp_path: Path, records: object, kind: str, cause: str, seed: int
+    tmp_path: Path, records: object, kind: str, cause: str
 ) -> None:
     assert callable(records)
-    found = judged(tmp_path, *records(np.random.default_rng(seed)))
+    found = judged(tmp_path, *records(np.random.default_rng(6)))
     assert found.kind == kind
     assert any(cause in reason for reason in found.reasons), found.reasons
 
@@ -159,7 +158,7 @@ def test_a_short_search_with_a_declared_loop_finds_the_gain(
     assert all("loop=" in store.text(e.proposed.source) for e in view.experiments)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_verdict_on_a_biased_best_candidate_names_an_experiment_without_bias(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,7 +175,7 @@ def test_the_verdict_on_a_biased_best_candidate_names_an_experiment_without_bias
     assert any('Compare #01, linear with loop = "direct"' in reason for reason in found.reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_honest_linear_model_of_slow_states_is_scored_whatever_cases_are_drawn(
     tmp_path: Path,
 ) -> None:
@@ -187,7 +186,7 @@ def test_an_honest_linear_model_of_slow_states_is_scored_whatever_cases_are_draw
     data = EvaluationData(folds, problem.train, context, rule)
     workers = WorkerRunner(level_here(), problem.budget, LocalExecutor())
     found = Evaluator(data, workers).evaluate(LINEAR)
-    for salt in "abcdefghij":
+    for salt in "abc":
         drawn = Evaluator(data, workers, EvaluatorOptions(salt))
         assert drawn.objection(LINEAR, found) is None
 

@@ -1,4 +1,3 @@
-import json
 import shutil
 import signal
 import subprocess
@@ -21,13 +20,15 @@ from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
 from asia.presentation.results import second_fit_text
 from asia.problem.load import load_problem
+from asia.search.agent_views import agent_view, problem_facts
 from asia.search.run import prepare, search
 from asia.search.simulation import simulate
 from asia.search.unsealing import unseal
 
 from .toy import CRASH, NOISE, Scripted, arx, write_problem
 
-AGENT = Scripted((arx(2), CRASH, arx(2)))
+TWIN = arx(2).replace("import numpy as np", "import numpy as np  # lucky charm", 1)
+AGENT = Scripted((arx(2), CRASH, TWIN))
 
 
 @pytest.fixture
@@ -100,20 +101,27 @@ def test_a_search_end_to_end(finished: Path) -> None:
 
 
 @pytest.mark.slow
-def test_same_seed_twice_is_bitwise_the_same(whole: Path, tmp_path: Path) -> None:
-    again = go(tmp_path / "toy", tmp_path / "again")
-    assert outcomes(open_run(whole).view) == outcomes(again)
+def test_a_twin_is_answered_from_the_ledger(whole: Path) -> None:
+    result = open_run(whole).view.experiment(4).result
+    assert result is not None
+    assert result.duplicate_of == 2
+    assert result.status == "discard"
 
 
 @pytest.mark.parametrize(
-    "every", [pytest.param(3, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.long)]
+    "every", [pytest.param(6, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.long)]
 )
-def test_resume_from_every_record(whole: Path, tmp_path: Path, every: int) -> None:
+def test_resume_from_every_record_comes_to_the_same(
+    whole: Path, tmp_path: Path, every: int
+) -> None:
+    """Before the first evaluation, so that all are made again, in the middle, and at the end."""
     directory, undisturbed = whole, open_run(whole).view
     lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
-    for kept in range(5, len(lines), every):
+    for kept in sorted({*range(5, len(lines), every), len(lines) - 1}):
         torn = lines[kept][: len(lines[kept]) // 2]
         (directory / "ledger.jsonl").write_bytes(b"".join(lines[:kept]) + torn)
+        with pytest.raises(UserError, match="not finished"):
+            unseal(directory, process_consent=True)
         again = go(tmp_path / "toy", tmp_path / "runs")
         assert outcomes(again) == outcomes(undisturbed)
         evaluated = [
@@ -123,20 +131,7 @@ def test_resume_from_every_record(whole: Path, tmp_path: Path, every: int) -> No
         ]
         assert evaluated == [1, 2, 3, 4]
     verify(directory)
-
-
-@pytest.mark.long
-def test_a_finished_search_returns_at_once_and_a_larger_budget_extends(
-    whole_once: Path, tmp_path: Path
-) -> None:
-    problem, runs = shutil.copytree(whole_once / "toy", tmp_path / "toy"), tmp_path / "runs"
-    first = go(problem, runs, experiments=2)
-    assert go(problem, runs, experiments=2) == first
-    more = go(problem, runs, experiments=4)
-    assert [e.number for e in more.finished] == [1, 2, 3, 4]
-    assert outcomes(more)[:2] == outcomes(first)
-    at_once = open_run(whole_once / "runs" / "toy-scripted-s0").view
-    assert outcomes(more) == outcomes(at_once)
+    assert unseal(directory, process_consent=True).record.refit is not None
 
 
 def test_other_settings_are_refused_and_nothing_is_touched(finished: Path, tmp_path: Path) -> None:
@@ -150,33 +145,21 @@ def test_other_settings_are_refused_and_nothing_is_touched(finished: Path, tmp_p
 
 
 @pytest.mark.slow
-def test_a_twin_is_answered_from_the_ledger(problem: Path, tmp_path: Path) -> None:
-    twin = arx(1).replace("import numpy as np", "import numpy as np  # lucky charm", 1)
-    view = go(problem, tmp_path / "runs", Scripted((twin, arx(2))), experiments=3)
-    result = view.experiment(2).result
-    assert result is not None
-    assert result.duplicate_of == 1
-    assert result.status == "discard"
-
-
-@pytest.mark.slow
-def test_a_model_that_does_not_come_back_the_same_is_invalid(problem: Path, tmp_path: Path) -> None:
+def test_what_is_no_model_is_invalid_and_a_best_candidate_that_luck_made_is_told(
+    problem: Path, tmp_path: Path
+) -> None:
     (problem / "baseline.py").write_text(NOISE)
-    view = go(problem, tmp_path / "runs", Scripted((arx(2),)), experiments=2)
+    draw = "import os\n    weights *= 1 - int.from_bytes(os.urandom(4), 'big') / 2**36\n    "
+    lucky = arx(2).replace("context.log", draw + "context.log")
+    odd = Scripted(("def fit(:", "x = '\ud800'\ndef fit(t, c): ...", "#" * 70_000, lucky))
+    view = go(problem, tmp_path / "runs", odd, experiments=5)
+    statuses = [e.result.status for e in view.finished if e.result]
+    assert statuses == ["invalid", "invalid", "invalid", "invalid", "keep"]
     failure = view.experiment(1).failure
     assert failure is not None
     assert failure.reason is Reason.NOT_REPRODUCIBLE
     assert view.best is not None
-    assert view.best.number == 2
-
-
-@pytest.mark.slow
-def test_a_best_candidate_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
-    draw = "import os\n    weights *= 1 - int.from_bytes(os.urandom(4), 'big') / 2**36\n    "
-    lucky = arx(2).replace("context.log", draw + "context.log")
-    view = go(problem, tmp_path / "runs", Scripted((lucky,)), experiments=2)
-    assert view.best is not None
-    assert view.best.number == 2
+    assert view.best.number == 5
     assert view.refitted is not None
     assert view.refitted.again is not None
     assert view.refitted.again.value not in (None, 1.0)
@@ -261,18 +244,6 @@ def test_a_changed_lock_is_refused_by_resume_and_unseal(finished: Path, tmp_path
         verify(directory)
 
 
-@pytest.mark.long
-def test_the_test_counts_who_opened_it(problem: Path, tmp_path: Path) -> None:
-    for name in ("first", "second"):
-        go(problem, tmp_path / "runs", Scripted((arx(2),), name), experiments=2)
-    runs = tmp_path / "runs"
-    assert unseal(runs / "toy-first-s0", process_consent=True).opened_before == ()
-    second = unseal(runs / "toy-second-s0", process_consent=True)
-    (words,) = second.opened_before
-    assert words.startswith("toy-first-s0 on 20")
-    assert open_run(runs / "toy-second-s0").view.unsealing.opened_before == (words,)
-
-
 @pytest.mark.slow
 def test_a_saturated_search_goes_on_when_extended(problem: Path, tmp_path: Path) -> None:
     text = (problem / "problem.toml").read_text()
@@ -285,7 +256,7 @@ def test_a_saturated_search_goes_on_when_extended(problem: Path, tmp_path: Path)
     assert len(more.finished) == len(first.finished) + 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_model_that_diverges_as_one_did_before_costs_no_experiment(
     problem: Path, tmp_path: Path
 ) -> None:
@@ -314,20 +285,6 @@ def test_a_budget_cannot_shrink(tmp_path: Path) -> None:
         go(tmp_path / "toy", tmp_path / "runs", experiments=1)
 
 
-@pytest.mark.slow
-def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
-    finished: Path, tmp_path: Path
-) -> None:
-    problem, ledger = tmp_path / "toy", finished / "ledger.jsonl"
-    lines = ledger.read_bytes().splitlines(keepends=True)
-    ledger.write_bytes(b"".join(lines[:-1]))
-    assert open_run(ledger.parent).state == "interrupted"
-    with pytest.raises(UserError, match="not finished"):
-        unseal(ledger.parent, process_consent=True)
-    go(problem, tmp_path / "runs")
-    assert unseal(ledger.parent, process_consent=True).record.refit is not None
-
-
 def test_the_best_candidate_simulates(finished_once: Path) -> None:
     directory = finished_once / "runs" / "toy-scripted-s0"
     table = np.loadtxt(finished_once / "toy" / "train.csv", delimiter=",", skiprows=1)
@@ -340,7 +297,7 @@ def test_the_best_candidate_simulates(finished_once: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["ensemble", "refit"])
+@pytest.mark.parametrize("model", ["refit"])
 def test_the_best_candidate_simulates_with_bands(finished_once: Path, model: Use) -> None:
     directory = finished_once / "runs" / "toy-scripted-s0"
     table = np.loadtxt(finished_once / "toy" / "train.csv", delimiter=",", skiprows=1)
@@ -359,21 +316,10 @@ def test_the_best_candidate_simulates_with_bands(finished_once: Path, model: Use
 
 
 @pytest.mark.slow
-def test_a_source_that_cannot_be_parsed_is_an_invalid_experiment(
-    problem: Path, tmp_path: Path
-) -> None:
-    odd = Scripted(("def fit(:", "x = '\ud800'\ndef fit(t, c): ...", "#" * 70_000, arx(2)))
-    view = go(problem, tmp_path / "runs", odd, experiments=5)
-    statuses = [e.result.status for e in view.finished if e.result]
-    assert statuses == ["keep", "invalid", "invalid", "invalid", "keep"]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("level", "number", "code", "word"),
     [
         ("process", signal.SIGINT, 130, b"interrupted"),
-        ("strongest", signal.SIGINT, 130, b"interrupted"),
         ("strongest", signal.SIGTERM, 143, b"terminated"),
     ],
 )
@@ -411,28 +357,10 @@ def test_changed_test_data_are_not_opened(problem: Path, tmp_path: Path) -> None
         unseal(tmp_path / "runs" / "toy-scripted-s0")
 
 
-@pytest.mark.slow
-def test_an_unfinished_search_or_one_without_a_test_is_not_unsealed(tmp_path: Path) -> None:
-    bare = write_problem(tmp_path / "bare", experiments=2, test=False)
-    go(bare, tmp_path / "runs")
-    directory = tmp_path / "runs" / "toy-scripted-s0"
-    with pytest.raises(UserError, match="no test data"):
-        unseal(directory, process_consent=True)
-    lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
-    (directory / "ledger.jsonl").write_bytes(b"".join(lines[:5]))
-    with pytest.raises(UserError, match="not finished"):
-        unseal(directory, process_consent=True)
-
-
-@pytest.mark.slow
-def test_agents_see_no_time_and_no_validation_outputs(problem: Path, tmp_path: Path) -> None:
-    seen: list[str] = []
-
-    class Spy(Scripted):
-        def propose(self, view):  # type: ignore[no-untyped-def]
-            seen.append(json.dumps(sorted(vars(view.trials[0]))))
-            return super().propose(view)
-
-    go(problem, tmp_path / "runs", Spy((arx(2),)), experiments=2)
-    assert seen
-    assert not any(word in seen[0] for word in ("second", "time", "y_hat", "model"))
+def test_agents_see_no_time_and_no_validation_outputs(finished_once: Path) -> None:
+    run = open_run(finished_once / "runs" / "toy-scripted-s0")
+    facts = problem_facts(load_problem(finished_once / "toy"))
+    trials = agent_view(facts, run.view, run.store).trials
+    assert len(trials) == 4
+    seen = " ".join(vars(trials[0]))
+    assert not any(word in seen for word in ("second", "time", "y_hat", "model"))

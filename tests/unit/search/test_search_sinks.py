@@ -117,7 +117,7 @@ def test_without_sinks_nothing_is_added(tmp_path: Path) -> None:
     assert seen == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ["mlflow", "trackio"])
 def test_the_sinks_of_asia_pass_the_suite(

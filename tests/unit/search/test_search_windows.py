@@ -144,7 +144,7 @@ def test_the_command_line_prints_the_table(run: Path) -> None:
     assert float(row.split()[1]) == pytest.approx(first, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_best_candidate_simulates_windows_and_longer(run: Path) -> None:
     for length in (10, 25):
         y_hat = simulate(run, np.zeros((0, 1)), np.ones((1, 4)), np.zeros((length, 1)))

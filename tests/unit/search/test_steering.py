@@ -69,7 +69,7 @@ def test_a_note_is_recorded_and_seen_from_the_next_step_on(tmp_path: Path) -> No
     assert running_losses(agent.steering.directory, view) == {}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_note_for_people_during_a_search_is_recorded_and_no_agent_sees_it(tmp_path: Path) -> None:
     problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
     directory = runs / "toy-attentive-s0"

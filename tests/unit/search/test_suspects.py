@@ -151,7 +151,7 @@ def test_what_is_checked_is_another_in_every_run(
     assert set(drawn[:half]).isdisjoint(drawn[half:])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_seeds_are_the_evaluators(problem: Path, tmp_path: Path) -> None:
     """The same for every candidate on a fold: another source is no other luck."""
     telling = arx(1).replace("context.log(1,", "context.log(context.seed,")

@@ -24,7 +24,6 @@ from asia.problem import Budget
 from asia.problem.folds import make_folds
 from asia.problem.protocol import EarlyStopping, ProtocolRule
 
-LEVELS = sorted({Isolation.PROCESS, probe().level})
 DESCENT = """
 import numpy as np
 
@@ -127,8 +126,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> dict[Channel, list[tuple[str, Any, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("isolation", LEVELS)
-@pytest.mark.parametrize("horizon", [None, 20])
+@pytest.mark.parametrize(("isolation", "horizon"), [(Isolation.PROCESS, None), (probe().level, 20)])
 def test_the_best_reported_score_is_the_score_of_the_fold(
     isolation: Isolation, horizon: int | None
 ) -> None:
@@ -141,7 +139,7 @@ def test_the_best_reported_score_is_the_score_of_the_fold(
     assert found.validation_scores == 24
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stopping_by_it_saves_a_fit_that_goes_astray() -> None:
     sound = descent(61, rate=1.0)
     astray = sound.replace(
@@ -245,7 +243,7 @@ def fit(trajectories, context):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_reloaded_model_is_not_compiled_again() -> None:
     found = evaluator().evaluate(COMPILED)
     assert value(found) > 0

@@ -139,7 +139,7 @@ def test_one_that_cannot_be_split_is_said_to(tmp_path: Path) -> None:
     assert "has no function build_model" in found.detail
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_best_candidate_that_is_the_baseline_has_no_gain(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no gain to attribute"):
         ablate(searched(tmp_path, candidate(2)), quietly)

@@ -62,7 +62,10 @@ def go(root: Path, agent: Agent, parallel: int) -> tuple[SearchView, Path]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("name", ["expert", "random", "bayes"])
+@pytest.mark.parametrize(
+    "name",
+    ["expert", *(pytest.param(name, marks=pytest.mark.long) for name in ("random", "bayes"))],
+)
 def test_a_search_with_experiments_in_flight_replays(name: str, tmp_path: Path) -> None:
     view, directory = go(tmp_path, make_agent(name), 3)
     assert len({e.proposed.digest for e in view.finished}) == 8

@@ -95,10 +95,8 @@ def delayed(monkeypatch: pytest.MonkeyPatch, delays: dict[str, float]) -> list[s
     return begun
 
 
-@pytest.mark.slow
-def test_one_at_a_time_leaves_no_trace_in_the_ledger(problem: Path, tmp_path: Path) -> None:
-    go(problem, tmp_path / "runs", 1)
-    text = (tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl").read_text()
+def test_one_at_a_time_leaves_no_trace_in_the_ledger(finished_once: Path) -> None:
+    text = (finished_once / "runs" / "toy-scripted-s0" / "ledger.jsonl").read_text()
     for word in ('"parallel"', '"elapsed"', '"landed"'):
         assert word not in text
 
@@ -196,7 +194,7 @@ def test_a_killed_search_loses_nothing_and_repeats_nothing(
     assert replay_run(directory, lambda item: None).agrees
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_person_who_stops_gets_what_was_begun(problem: Path, tmp_path: Path) -> None:
     def stop(event: Event, view: SearchView) -> None:
         if isinstance(event, Proposed) and event.experiment == 2:
@@ -220,6 +218,6 @@ def test_what_cannot_run_ahead_is_refused(problem: Path, tmp_path: Path) -> None
     with pytest.raises(UserError, match="proposes one experiment at a time"):
         search(ready, blind, lambda event, view: None, lambda view: None)
     assert not (tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl").exists()
-    go(problem, tmp_path / "runs", 2)
+    go(problem, tmp_path / "runs", 2, ())
     with pytest.raises(UserError, match="has --parallel 2, not 3"):
         go(problem, tmp_path / "runs", 3)

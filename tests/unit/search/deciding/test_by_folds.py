@@ -63,6 +63,7 @@ def test_a_gain_must_show_in_all_folds_together_and_no_fold_may_lose(
     assert fold_doubt(cast(Any, SimpleNamespace(data=known)), found, best, store) == status
 
 
+@pytest.mark.slow
 def test_one_parameter_too_many_does_not_replace_the_right_model(tmp_path: Path) -> None:
     # The plant is of second order: a third one lowers V by chance, if at all.
     write_problem(tmp_path / "toy", retests=2)

@@ -115,7 +115,7 @@ def test_what_is_in_the_ledger_is_not_fitted_again(run: Path) -> None:
     assert more.seeds == 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_that_goes_on_is_no_longer_confirmed_and_keeps_its_repeats(run: Path) -> None:
     confirm(run, quietly, top=1, seeds=1)
     problem = load_problem(run.parent.parent / "toy")
@@ -167,7 +167,7 @@ def test_an_unfinished_search_is_refused(finished: Path, cut: int) -> None:
         confirm(finished, quietly)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_without_scores_or_artifacts_is_refused(tmp_path: Path, run: Path) -> None:
     problem = write_problem(tmp_path / "bad" / "toy", experiments=1)
     (problem / "baseline.py").write_text(CRASH)

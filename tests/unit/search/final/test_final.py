@@ -114,9 +114,8 @@ def answer(directory: Path, model: str | None) -> Array:
 
 
 @pytest.mark.slow
-def test_a_sound_refit_is_kept_with_its_evidence(tmp_path: Path) -> None:
-    _, view = go(tmp_path, arx(2))
-    refitted = ended(view)
+def test_a_sound_refit_is_kept_with_its_evidence(estimating: tuple[Path, SearchView]) -> None:
+    refitted = ended(estimating[1])
     assert refitted.model is not None
     assert refitted.check is not None
     (start,) = refitted.check.starts
@@ -177,14 +176,29 @@ def test_another_start_is_tried_where_the_first_falls_short(tmp_path: Path) -> N
     assert np.isfinite(answer(directory, "refit")).all()
 
 
-@pytest.mark.long
-def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
-    # Each start gives another model, and none is any good.
-    source = off(ON_ALL).replace("0.663 *", "(0.663 + context.seed % 1000 / 1e4) *")
-    refitted = ended(go(tmp_path, source)[1])
+@pytest.mark.slow
+def test_a_fold_model_takes_the_place_of_a_refit_in_a_poorer_minimum(tmp_path: Path) -> None:
+    sound = derive_seed(derive_seed(0, "search"), 0, 0)
+    source = biased(0.3)
+    source += f"""
+
+
+biased = fit
+
+
+def fit(trajectories, context):
+    return (fit_well if context.seed == {sound} else biased)(trajectories, context)
+"""
+    directory, view = go(tmp_path, source)
+    assert view.best is not None
+    assert view.best.number == 2
+    refitted = ended(view)
     assert refitted.check is not None
-    assert len(refitted.check.starts) == 3
     assert refitted.check.kept is None
+    assert refitted.use == "refit"
+    assert "the model of fold 1" in refitted.reason
+    assert refitted.model == view.best.folds[0].model
+    assert np.isfinite(answer(directory, None)).all()
 
 
 @pytest.mark.parametrize(
@@ -284,7 +298,7 @@ def test_a_member_that_does_not_answer_like_a_model_is_left_out(tmp_path: Path) 
     assert stack is None or 3 not in {m.experiment for m in stack.members}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_candidate_makes_no_stack(tmp_path: Path) -> None:
     directory, view = go(tmp_path)
     assert ended(view).stack is None
@@ -329,11 +343,19 @@ def fit(trajectories, context):
 """
 
 
+@pytest.fixture(scope="module")
+def estimating(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SearchView]:
+    """A search whose best candidate says how well its parameters are known."""
+    return go(tmp_path_factory.mktemp("estimating"), arx(2) + ESTIMATES)
+
+
 @pytest.mark.slow
-def test_what_the_refit_says_of_its_parameters_is_kept_and_shown(tmp_path: Path) -> None:
+def test_what_the_refit_says_of_its_parameters_is_kept_and_shown(
+    estimating: tuple[Path, SearchView],
+) -> None:
     """By any candidate that has `estimates`, from all training records; in its ledger as an
     artifact that verifies; for people and scripts."""
-    directory, view = go(tmp_path, arx(2) + ESTIMATES)
+    directory, view = estimating
     assert view.best is not None
     assert view.best.number == 2
     found = identified(open_run(directory))

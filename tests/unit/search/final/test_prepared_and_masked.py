@@ -11,7 +11,6 @@ from asia.data.preprocess import Preparation
 from asia.ledger.events import TestedModel as Recorded
 from asia.ledger.run import Run
 from asia.problem.create import init_problem
-from asia.report.files import write_report
 
 DELAY, STEP = 3, 0.1
 
@@ -81,35 +80,3 @@ def test_the_test_is_opened_with_the_same_preprocessing(prepared: Run) -> None:
     # In the unit of the records.
     assert 0.0 < ensemble.scores[0].value < 0.2 * plant(2)[1].std()
     assert opened.lengths == ((400 - DELAY) // 2 - 10,)
-
-
-def masked(seed: int) -> tuple[Array, Array, Array]:
-    u, y = plant(seed, 300)
-    lost = y.copy()
-    lost[np.random.default_rng(9).random(len(y)) < 0.3] = np.nan
-    lost[120:150] = np.nan
-    return u, y, lost
-
-
-@pytest.mark.long
-def test_a_search_on_masked_outputs(tmp_path: Path) -> None:
-    u, y, lost = masked(4)
-    test_u, test_y, test_lost = masked(5)
-    values: list[float] = []
-    scores: list[float] = []
-    for name, train, test in (("whole", y, test_y), ("masked", lost, test_lost)):
-        problem = asia.Problem.from_arrays(
-            u, train, sampling_time=STEP, directory=tmp_path / name, test_u=test_u, test_y=test,
-            budget={"retests": 0},
-        )  # fmt: skip
-        run = asia.run(problem, experiments=1, runs=tmp_path / "runs")
-        best = run.view.best
-        assert best is not None
-        assert best.score is not None
-        values.append(best.score.value)
-        ensemble = asia.unseal(run.directory).record.ensemble
-        assert isinstance(ensemble, Recorded)
-        scores.append(ensemble.scores[0].value)
-        assert all(path.stat().st_size for path in write_report(run.directory))
-    assert values[1] < 1.3 * values[0]
-    assert scores[1] < 1.3 * scores[0]

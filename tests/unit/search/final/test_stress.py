@@ -148,7 +148,7 @@ def test_where_the_stack_drifts_the_evidence_chooses_between_the_models_of_the_b
         assert found.use == second
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_without_a_bounded_candidate_says_not_usable(tmp_path: Path) -> None:
     directory, view = ended(write_twins(tmp_path / "twins"), arx(2) + HIDDEN)
     assert view.refitted is not None
