@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 import typer
 
 from asia._text import say
+from asia.data.preprocess import Preparation
 from asia.errors import UserError
-from asia.interfaces.cli.init import split_at_commas
+from asia.interfaces.cli.init import InitAnswers, split_at_commas
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
     CandidateLevel,
@@ -17,9 +19,6 @@ from asia.interfaces.cli.options import (
     candidate_level,
     run_directory,
 )
-
-# Options of asia init on records, which a run has already.
-_OF_RECORDS = ("train", "sampling_time", "test", "time", "columns", "test_experiments", "delay")
 
 
 def problem_options(
@@ -41,14 +40,16 @@ def problem_options(
     if control is None:
         command()
         return
-    changed = given["seal"] or given["detrend"] or given["scale"] or given["decimate"] != 1
-    if changed or any(given[name] is not None for name in _OF_RECORDS):
+    answers = given["answers"]
+    # A run has its records, and their test and preprocessing, already.
+    changed = replace(answers, inputs=[], outputs=[]) != InitAnswers()
+    if changed or given["preparation"] != Preparation() or given["time"] or given["columns"]:
         raise UserError("--control takes the records of the run: give --inputs, --outputs only")
     from asia.control.control_problem import control_problem_of_run
 
     made = control_problem_of_run(
-        given["name"], run_directory(runs, control), split_at_commas(given["inputs"] or ()),
-        split_at_commas(given["outputs"] or ()), isolation=candidate_level(isolation),
+        given["name"], run_directory(runs, control), split_at_commas(answers.inputs),
+        split_at_commas(answers.outputs), isolation=candidate_level(isolation),
     )  # fmt: skip
     for line in made.lines:
         say(line)
