@@ -31,7 +31,7 @@ def run_tutorial(page: str, folder: Path) -> dict[str, str]:
     The Python programs are saved under the names that the text gives them. The equations replace
     the commented ones as soon as a command mentions the run of that name.
     """
-    names = re.findall(r"[Ss]ave (?:the program|this) as `([\w.]+)`", page)
+    names = re.findall(r"[Ss]ave\s+(?:the\s+program|this)\s+as\s+`([\w.]+)`", page)
     for name, program in zip(names, blocks(page, "python"), strict=True):
         (folder / name).write_text(program)
     (equations,) = blocks(page, "toml")

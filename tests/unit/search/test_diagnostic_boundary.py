@@ -133,7 +133,7 @@ def test_a_score_that_raises_ends_the_search_and_status_says_so(
         shown = capsys.readouterr().out
         assert "interrupted: 0 of 2 experiments" in shown
         name = "" if isinstance(error, InternalError) else "RuntimeError: "
-        assert f"error   {name}{error}" in shown
+        assert f"error    {name}{error}" in shown
     run = open_run(search_toy(tmp_path, arx(2)))
     assert run.view.complete
     assert error_of(run.directory) is None

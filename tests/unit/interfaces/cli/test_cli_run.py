@@ -128,7 +128,8 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     assert again.out == first.out
     assert "the test of this run is open already" in again.err
     text = asia(*words)
-    assert f"RMSE {answer['test']['rmse']:.4f}" in text.out
+    assert "RMSE on the sealed test" in text.out
+    assert f"{answer['test']['rmse']:.4f}" in text.out
     assert "picture" in text.out
     state = json.loads(asia("status", "--runs", searched.runs, "--json").out)["state"]
     assert state == "unsealed"

@@ -70,5 +70,4 @@ def test_show_and_diff_say_it(told: Searched, asia: Asia) -> None:
     text = asia("show", "--runs", told.runs).out
     assert f"result      {CALLED} = " in text
     assert "2 validation scores)" in text
-    assert "val. scores" in text
     assert asia("show", "1", "1", "--runs", told.runs).out.count(f"{CALLED} = ") == 2
