@@ -164,14 +164,14 @@ FIGURES = {
     "V of the linear model": Figure(
         _reference,
         {
-            "status": rf"reference linear model +V={NUMBER}",
+            "status": rf"\n +linear model +{NUMBER}",
             "page": rf"V, linear model {NUMBER}",
         },
         {"status": lambda o: o["references"]["linear model"]},
     ),
     "test error": Figure(
         lambda doors: _tested(doors) and _tested(doors).value,
-        {"unseal": rf"ensemble of the fold models +\w+ {NUMBER}"},
+        {"unseal": rf"output +ensemble.*\n +y +{NUMBER}"},
         {"unseal": lambda o: next(iter(o["test"].values()))},
     ),
     "test error of the model to use": Figure(
@@ -181,7 +181,7 @@ FIGURES = {
     ),
     "share of the test in the bands": Figure(
         lambda doors: _tested(doors) and [100.0 * c for c in doors.run.view.unsealed.bands.covered],
-        {"unseal": rf"around it held: y {NUMBER} %"},
+        {"unseal": rf"share inside .*\n +y +{NUMBER} %"},
         {"unseal": lambda o: [100.0 * c for c in o["bands"]["covered"].values()]},
     ),
     "error on the guard": Figure(

@@ -90,7 +90,8 @@ def test_status_text_of_the_newest(searched: Searched, asia: Asia) -> None:
     assert done.code == 0
     assert "run toy-random-s0  problem toy  agent random  seed 0" in done.out
     assert "finished: 1 of 1 experiments" in done.out
-    assert "reference linear model" in done.out
+    assert "reference models:" in done.out
+    assert "linear model" in done.out
     assert "#01 keep" in done.out
 
 
