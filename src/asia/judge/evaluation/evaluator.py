@@ -220,7 +220,7 @@ class StoredModels:
 
         Args:
             parameters: names of parameters that the last state holds, see
-                `asia.lowering.trace.lowered`
+                `asia.lowering.trace.lowered_bytes`
         """
 
         def lowered(model: bytes) -> LoweredModel | str:

@@ -1,4 +1,4 @@
-"""Fits of folds on other machines: requests and replies as bytes."""
+"""Fits of folds, here or on other machines: requests and replies as bytes."""
 
 from __future__ import annotations
 
