@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -62,7 +63,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     (folder / "candidate.py").write_text(lasting(arx(2)))
     dry = asia("try", "--dry-run", "--dir", folder)
     assert dry.code == 0, dry.err
-    assert "passed on 118 of the 118 samples" in dry.out
+    assert "passed on 100 made-up samples" in dry.out
     assert "V" not in dry.out
     both = asia("try", "--dry-run", "--plot", "--dir", folder)
     assert both.code == 2
@@ -106,7 +107,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert "picture plots/004.png" in last.out
     assert (folder / "plots" / "004-residuals.png").is_file()
     assert "against #02, the previous best; standard deviation over seeds not measured" in last.out
-    assert "fold 2  block 2 of 2: samples 123 to 240 of train  V " in last.out
+    assert re.search(r"fold 2  block 2 of 2: samples 123 to 240 of train +V ", last.out)
     assert "0 of 4 experiments left" in last.out
     assert len((folder / "results.tsv").read_text().splitlines()) == 5
     assert not os.access(folder / "results.tsv", os.W_OK) or os.geteuid() == 0
