@@ -14,7 +14,7 @@ from asia.ledger.events import Evaluated, Phase, StressTest, Validated
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.table import Block, Table, error_decimals, error_value
-from asia.problem.metrics import find_metric
+from asia.problem.metrics import metric_label
 
 
 def confirmation_text(found: Confirmation) -> str:
@@ -239,7 +239,7 @@ def fold_blocks(e: Experiment, view: SearchView, metric: str) -> Iterator[Block]
     score, result, outputs = e.score, e.result, view.started.outputs
     assert score is not None
     assert result is not None
-    label = find_metric(metric).label
+    label = metric_label(metric)
     errors = [fold.per_channel(metric) for fold in score.folds]
     fits = [fold.fit_index for fold in score.folds]
     columns = {"fold": "", "V": "error"}

@@ -10,7 +10,7 @@ from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import Ablated, Confirmed, Fit, RefitCheck, Stack, Unsealed, Use
 from asia.ledger.simulated import final_models
 from asia.presentation.table import Block, Table, error_value
-from asia.problem.metrics import find_metric
+from asia.problem.metrics import metric_label
 
 # Repeated fits of the best candidates.
 
@@ -227,7 +227,7 @@ def sealed_test_blocks(opened: Unsealed, use: Use | None, *, total: bool = True)
     several = len(opened.trajectories) > 1
     figures = dict.fromkeys(models, "sig")
     for k, score in enumerate(next(iter(models.values())).scores if models else ()):
-        label, scores = find_metric(score.metric).label, [m.scores[k] for m in models.values()]
+        label, scores = metric_label(score.metric), [m.scores[k] for m in models.values()]
         rows: list[list[Any]] = [
             [name, *(one.per_channel[c] for one in scores)]
             for c, name in enumerate(opened.channels)
