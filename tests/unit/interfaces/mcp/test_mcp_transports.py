@@ -94,7 +94,8 @@ def http(setting: Setting, *words: str) -> Iterator[tuple[str, str]]:
     assert process.stderr is not None
     with process, process.stderr:
         try:
-            url = process.stderr.readline().removeprefix("asia: ").strip()
+            lines = iter(process.stderr.readline, "")
+            url = next(line for line in lines if "http://" in line).removeprefix("asia: ").strip()
             said = "" if words else process.stderr.readline()
             yield url, said
         finally:
