@@ -584,7 +584,7 @@ class Refitted:
 
     experiment: int
     model: ArtifactName | None
-    """None when that fit failed, or when no start is worth using."""
+    """None when that fit failed, or when no start is worth using; see `fold`."""
     detail: str
     """Why there is none."""
     again: Fit | None = None
@@ -598,6 +598,8 @@ class Refitted:
     """The model to use; None in older ledgers."""
     reason: str = ""
     """Why this one, in a sentence."""
+    fold: Annotated[int, _omitted(0)] = 0
+    """The fold whose model takes the place of the refit, 1-based; 0 for a refit."""
     estimates: ArtifactName | None = None
     """Estimates of its parameters; None where it gives none, and in older ledgers."""
     stress: tuple[StressTest, ...] = ()

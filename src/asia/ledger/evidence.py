@@ -573,13 +573,14 @@ class IdentifiedModel:
 _FITTED: TypeAdapter[EstimatedModel] = TypeAdapter(EstimatedModel)
 
 
-def fold_estimates(tables: Sequence[Mapping[str, float]]) -> EstimatedModel | None:
+def fold_estimates(tables: Sequence[Mapping[str, float]], fold: int = 0) -> EstimatedModel | None:
     """Parameters of a model without a refit: means over its fold models, with their scatter as
     error and no interval: few folds carry none, and do not show a missing effect. None where the
     fold models do not name the same ones, or there is only one.
 
     Args:
         tables: as in `with_fold_values`
+        fold: the fold, 1-based, whose model is used: its values in place of the means
     """
     names = [name for name in (tables[0] if tables else {}) if all(name in t for t in tables)]
     if len(tables) < 2 or not names:
@@ -589,9 +590,11 @@ def fold_estimates(tables: Sequence[Mapping[str, float]]) -> EstimatedModel | No
         values = [table[name] for table in tables]
         value = math.fsum(values) / len(values)
         error = jackknife_error(value, values)
+        value = values[fold - 1] if fold else value
         found.append(EstimatedParameter(name, "", value, error, None, None, None, None, 1.0))
+    own = f"of the model of fold {fold}" if fold else "mean over the fold models"
     source = (
-        "mean over the fold models with their scatter as error, because there is no refit; the "
+        f"{own} with the scatter of the fold models as error, because there is no refit; the "
         f"scatter of {len(tables)} fold models carries no interval"
     )
     return EstimatedModel(tuple(found), (), (), source=source)

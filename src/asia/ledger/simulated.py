@@ -100,7 +100,7 @@ def final_models(opened: Unsealed) -> list[tuple[str, str, TestedModel | Failure
     """Key, description and test result of each final model."""
     found = (
         ("ensemble", "ensemble of the fold models", opened.ensemble),
-        ("refit", "refit on all training records", opened.refit),
+        ("refit", "refit", opened.refit),
         ("stack", "stack of several experiments", opened.stack),
     )
     return [(key, text, model) for key, text, model in found if model is not None]

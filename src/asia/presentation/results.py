@@ -7,7 +7,7 @@ from typing import Any
 
 from asia.errors import Reason
 from asia.judge.scoring.outcome import Failure
-from asia.ledger.events import Ablated, Confirmed, Fit, RefitCheck, Stack, Unsealed, Use
+from asia.ledger.events import Ablated, Confirmed, Fit, RefitCheck, Refitted, Stack, Unsealed, Use
 from asia.ledger.simulated import final_models
 from asia.presentation.table import Block, Table, error_value
 from asia.problem.metrics import metric_label
@@ -154,12 +154,18 @@ def ablation_blocks(found: Ablated, v_name: str) -> Iterator[Block]:
 # The final models of a search.
 
 
-USES: dict[Use, str] = {
+_USES: dict[Use, str] = {
     "ensemble": "the ensemble, the mean of the models of all folds",
     "refit": "the refit, the best candidate fitted to all training records",
     "stack": "the stack, a weighted mean of several candidates",
 }
-"""Description of each final model."""
+
+
+def use_text(use: Use, refitted: Refitted | None) -> str:
+    """Describe a final model."""
+    if use == "refit" and refitted is not None and refitted.fold:
+        return f"the model of fold {refitted.fold} of the best candidate, in place of a refit"
+    return _USES[use]
 
 
 def stack_text(stack: Stack, v_name: str = "V") -> str:
@@ -178,12 +184,13 @@ def second_fit_text(again: Fit) -> str:
     return f"a second fit of fold {again.fold} {found}"
 
 
-def final_models_table(check: RefitCheck) -> Table:
-    """Return the error of each final model, and its difference from the ensemble."""
-    rows: list[tuple[str, float | str | None, float | None]] = [
-        (f"model of fold {k}", "no answer" if value is None else value, None)
-        for k, value in enumerate(check.fold_errors, 1)
-    ]
+def final_models_table(check: RefitCheck, fold: int = 0) -> Table:
+    """Return the error of each final model, and its difference from the ensemble. fold: the one
+    whose model takes the place of a refit."""
+    rows: list[tuple[str, float | str | None, float | None]] = []
+    for k, value in enumerate(check.fold_errors, 1):
+        name = f"model of fold {k}" + (", in place of a refit" if k == fold else "")
+        rows.append((name, "no answer" if value is None else value, None))
     if check.ensemble_error is not None:
         rows.append(("ensemble", check.ensemble_error, None))
     for k, start in enumerate(check.starts, 1):

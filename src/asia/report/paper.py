@@ -13,7 +13,7 @@ from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
 from asia.ledger.view import SearchView
 from asia.presentation.experiments import experiments_table
 from asia.presentation.parameters import parameter_remarks, parameter_table
-from asia.presentation.results import USES, sealed_test_blocks
+from asia.presentation.results import sealed_test_blocks, use_text
 from asia.presentation.table import Block, Table, error_value
 from asia.problem.metrics import find_metric, metric_label
 
@@ -105,7 +105,8 @@ def _best(view: SearchView) -> Iterator[str]:
             f"{error_value(expected.value)} ({100 * confirmed.expected_level:g} % interval {ends})."
         )
     if view.refitted is not None:
-        yield f"The model handed over is {USES[named.model]}, chosen without test data."
+        use = use_text(named.model, view.refitted)
+        yield f"The model handed over is {use}, chosen without test data."
 
 
 def _sealed_test(view: SearchView) -> Iterator[str]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -32,7 +32,6 @@ from asia.ledger.events import (
     Refitted,
     Stack,
     StackMember,
-    Use,
 )
 from asia.ledger.evidence import EstimatedModel, findings_of, fold_estimates, put_estimates
 from asia.ledger.run import ModelToUse
@@ -67,10 +66,12 @@ class CheckedRefit:
     model: bytes | None
     """The start that was kept, or a fold model in its place; None where there is neither."""
     detail: str
-    """Why there is none, or why it is a fold model."""
+    """Why there is none."""
     check: RefitCheck | None
     """The comparison; None where it could not be made."""
     estimates: ParameterEstimates | None = None
+    fold: int = 0
+    """The fold whose model takes its place, 1-based; 0 for a refit."""
 
 
 def check_refit(
@@ -103,18 +104,18 @@ def check_refit(
         kept = tried[place]
         assert isinstance(kept, RefitModel)
         return CheckedRefit(kept.model, "", check, kept.estimates)
+    if kind == "fold":
+        return CheckedRefit(fold_models[place], "", check, fold=place + 1)
+    errors = _errors(check)
+    detail = f"errors on the training records: {errors}" if "refit" in errors else ""
+    return CheckedRefit(None, detail or none_words(comparison.causes), check)
+
+
+def _errors(check: RefitCheck) -> str:
+    """`refit 0.12, ensemble 0.08`: errors on the training records."""
     refits = [start.value for start in check.starts if start.value is not None and not start.failed]
-    detail = none_words(comparison.causes)
-    if refits:
-        detail = f"the refit has an error of {error_value(min(refits))} on the training records"
-        if check.ensemble_error is not None:
-            detail += f", the ensemble {error_value(check.ensemble_error)}"
-    if kind == "ensemble":
-        return CheckedRefit(None, detail, check)
-    error = check.fold_errors[place]
-    assert error is not None
-    detail = f"{detail}, the model of fold {place + 1} {error_value(error)}, which takes its place"
-    return CheckedRefit(fold_models[place], detail, check)
+    errors = {"refit": min(refits, default=None), "ensemble": check.ensemble_error}
+    return ", ".join(f"{name} {error_value(e)}" for name, e in errors.items() if e is not None)
 
 
 _COUNT = {2: "both", 3: "all three"}
@@ -254,11 +255,22 @@ def choose_model(single: Array, stack: Array | None, refitted: Refitted) -> Mode
                 f"On parts of the held-out records its error is {both[0]}, that of the best "
                 f"candidate {both[1]}: lower by more than one standard error.",
             )
-    use: Use = "ensemble" if refitted.model is None else "refit"
-    why = refitted.detail or (
-        "it was fitted to all training records" if use == "refit" else "there is no refit"
+    return one_model(refitted)
+
+
+def one_model(refitted: Refitted) -> ModelToUse:
+    """The refit, or the fold model in its place; the ensemble where there is neither."""
+    if refitted.model is None:
+        why = refitted.detail or "there is no refit"
+        return ModelToUse("ensemble", f"{why[:1].upper()}{why[1:]}.")
+    if not refitted.fold or refitted.check is None:
+        return ModelToUse("refit", "It was fitted to all training records.")
+    error = refitted.check.fold_errors[refitted.fold - 1]
+    return ModelToUse(
+        "refit",
+        f"The model of fold {refitted.fold} takes its place: it fits all training records best "
+        f"(errors: {'' if error is None else error_value(error)}, {_errors(refitted.check)}).",
     )
-    return ModelToUse(use, f"{why[:1].upper()}{why[1:]}.")
 
 
 # Few folds say little about weights that are fitted to them: weights by V alone predict as well.
@@ -411,9 +423,11 @@ def refit_best(
         check=checked.check,
         stack=made and made[0],
         estimates=estimates,
+        fold=checked.fold,
     )
-    if problem.control is not None:
-        return replace(refitted, failed_checks=tuple(failed), **_chosen_controller(refitted))
+    if problem.control is not None:  # K controllers in one loop would be another controller.
+        one = one_model(refitted)
+        return replace(refitted, failed_checks=tuple(failed), use=one.model, reason=one.reason)
     folds = zip(best.folds, evaluator.data.folds, strict=True)
     answers = [store.get_arrays(one.y_hat, fold.shapes) for one, fold in folds]
     single = held_out_errors(evaluator, answers, metric)
@@ -440,19 +454,6 @@ def refit_best(
             found = replace(found, sound=other)
         refitted = replace(refitted, feedback=found)
     return replace(refitted, failed_checks=tuple(failed))
-
-
-def _chosen_controller(refitted: Refitted) -> dict[str, Any]:
-    """Controller to use: that of all training scenarios, or, where there is none, the first fold's.
-
-    K controllers in one loop would be another controller, so none is a mean of others.
-    """
-    if refitted.model is not None:
-        return {"use": "refit", "reason": "It was designed for all training scenarios."}
-    return {
-        "use": "ensemble",
-        "reason": f"There is no design for all scenarios: {refitted.detail}.",
-    }
 
 
 def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
@@ -491,11 +492,11 @@ def _is_sound_in_loop(problem: Problem, source: str) -> bool:
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit, best: Experiment) -> str | None:
-    """Those of the refit; without one of all records, those of the fold models."""
+    """Those of the refit; without one, those of the fold models, or of the one in its place."""
     found: ParameterEstimates | EstimatedModel | None = checked.estimates
-    if checked.detail:
+    if checked.model is None or checked.fold:
         findings = findings_of(store, best)
-        found = fold_estimates([dict(one.parameters) for one in findings])
+        found = fold_estimates([dict(one.parameters) for one in findings], checked.fold)
     if found is None or not found.parameters:
         return None
     recipe = read_recipe(store.text(best.source))

@@ -88,6 +88,10 @@ def test_parameters_without_a_refit_are_means_over_the_fold_models() -> None:
     # Two folds would give tau an interval of no width.
     assert all(one.interval is None for one in with_fold_values(found, [{"k": 1.0, "tau": 4.0}]))
     assert fold_estimates([{"k": 1.0}]) is None
+    of_one = fold_estimates([{"k": 1.0}, {"k": 1.2}], fold=2)
+    assert of_one is not None
+    assert of_one.parameters[0].value == 1.2
+    assert "of the model of fold 2" in of_one.source
 
 
 @pytest.mark.parametrize(

@@ -142,7 +142,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     assert refitted.check is not None
     assert [start.value for start in refitted.check.starts] == [pytest.approx(1.2, rel=0.02)]
     assert refitted.use == "ensemble"
-    assert refitted.reason.startswith("The refit has an error of 1.2")
+    assert refitted.reason.startswith("Errors on the training records: refit 1.2")
     verify(directory)
 
     for words in (("status",), ("show", directory.name)):
@@ -152,7 +152,7 @@ def test_a_refit_that_does_not_fit_its_own_data_is_none_and_the_search_says_so(
     status = command_line("status", "--runs", directory.parent, "--json")
     assert json.loads(status.out)["use"] == "ensemble"
     assert (answer(directory, None) == answer(directory, "ensemble")).all()
-    with pytest.raises(UserError, match="no refitted model: the refit has an error"):
+    with pytest.raises(UserError, match="no refitted model: errors on the training records"):
         answer(directory, "refit")
     opened = command_line(
         "unseal", directory.name, "--runs", directory.parent, "--yes", "--yes-process", "--json"
@@ -196,8 +196,14 @@ def fit(trajectories, context):
     assert refitted.check is not None
     assert refitted.check.kept is None
     assert refitted.use == "refit"
-    assert "the model of fold 1" in refitted.reason
+    assert refitted.fold == 1
+    assert refitted.reason.startswith("The model of fold 1 takes its place")
     assert refitted.model == view.best.folds[0].model
+    shown = command_line("report", directory.name, "--runs", directory.parent)
+    assert shown.code == 0, shown.err
+    page = (directory / "report" / "report.html").read_text()
+    assert "the model of fold 1 of the best candidate, in place of a refit" in page
+    assert "fitted to all training records" not in page
     assert np.isfinite(answer(directory, None)).all()
 
 

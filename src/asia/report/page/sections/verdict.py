@@ -21,11 +21,11 @@ from asia.ledger.simulated import final_models
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.experiments import fold_blocks
 from asia.presentation.results import (
-    USES,
     final_models_table,
     sealed_test_blocks,
     second_fit_text,
     stack_text,
+    use_text,
 )
 from asia.presentation.table import FORMATS, Block
 from asia.problem.metrics import find_metric
@@ -87,8 +87,9 @@ def _content(subject: Subject) -> dict[str, Any] | None:
     if subject.run.state == "running" and not view.finished:
         return None
     text, kind = stamp(view)
-    use = "" if named is None else USES[named.model]
-    if subject.is_control and named is not None and named.model == "refit":
+    use = "" if named is None else use_text(named.model, view.refitted)
+    designed = view.refitted is not None and not view.refitted.fold
+    if subject.is_control and named is not None and named.model == "refit" and designed:
         use = "the one designed for all training scenarios"
     if best is None or best.score is None or named is None:
         return {"stamp": text, "kind": kind, "use": None}
@@ -208,7 +209,7 @@ def _handover(subject: Subject) -> dict[str, Any] | None:
     blocks: list[Block] = []
     if refitted is not None:
         if refitted.check is not None:
-            blocks.append(final_models_table(refitted.check))
+            blocks.append(final_models_table(refitted.check, refitted.fold))
         if refitted.stack is not None:
             blocks.append(f"stack: {stack_text(refitted.stack, view.v_name)}")
         if refitted.again is not None:
