@@ -144,6 +144,18 @@ def test_the_strongest_open_diagnosis_is_answered_next(placed: bool) -> None:
     assert following(known, drift).title == "linear state-space: slow disturbance in the noise"
 
 
+def test_an_answer_counts_as_made_for_any_state_and_blocks_no_weaker_diagnosis() -> None:
+    known = simulation(physics=False)
+    trials = with_diagnosis(best_linear(known), ("motion", 0.44), ("time", 0.2))
+    found = answers(view(known, trials, "refine"))
+    assert found["dry friction on {state}"] == 0.44
+    assert found["slow disturbance in the noise"] == 0.2
+    proposal = following(known, trials)
+    made = replace(proposal, title="grey-box: dry friction on x1")
+    after = answers(view(known, (*trials, trial(made, len(trials) + 1, 0.35)), "refine"))
+    assert found.keys() - after.keys() == {"dry friction on {state}"}
+
+
 @pytest.mark.parametrize(
     ("term", "where"),
     [

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from statistics import NormalDist
 
-from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title
+from asia.agents.library.move import (
+    LIKELY,
+    POSSIBLE,
+    SHOWN,
+    Move,
+    Situation,
+    is_titled,
+    plain_title,
+)
 from asia.agents.library.traits import DELAY_TRIED, periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
@@ -169,26 +177,27 @@ def places(facts: Facts) -> dict[str, float]:
 
 
 def answers(view: AgentView) -> dict[str, float]:
-    """Moves that answer the strongest diagnosis that has an answer left, the likeliest first, with
-    the share of the residual that it explains; moves made on the best trial, or a trial like it,
-    count as answers that did not help."""
-    best = view.best
+    """Moves that answer a diagnosis, with the share of the residual that it explains: those of the
+    strongest diagnosis first, the likeliest first. Moves made on the best trial, or a trial like
+    it, count as answers that did not help."""
+    best, found = view.best, dict[str, float]()
+    made = [
+        plain_title(t.title).partition(": ")[2]
+        for t in view.proposed
+        if best is not None and t.number > best.number
+    ]
     for name, share in diagnoses(view):
-        made = {
-            plain_title(t.title).partition(": ")[2]
-            for t in view.proposed
-            if best is not None and t.number > best.number
-        }
-        left = [move for move in ANSWERS[name] if move not in made]
+        left = [move for move in ANSWERS[name] if not any(is_titled(move, t) for t in made)]
         if name == "amplitude":
             likely = places(view.facts)
+            # Without a likely place one answer that did not help is enough.
+            if not likely and len(left) < len(ANSWERS[name]):
+                continue
             left = [m for m in left if not likely or _PLACES.get(m, DYNAMICS) in likely]
             left.sort(key=lambda m: -likely.get(_PLACES.get(m, DYNAMICS), 0.0))
-            # Without a likely place one answer that did not help is enough.
-            left = left if likely or len(left) == len(ANSWERS[name]) else []
-        if left:
-            return dict.fromkeys(left, min(1.0, share))
-    return {}
+        for move in left:
+            found.setdefault(move, min(1.0, share))
+    return found
 
 
 def leading_maps(view: AgentView) -> Arguments:

@@ -105,6 +105,14 @@ def plain_title(title: str) -> str:
     return re.sub(r" \([^()]*\)$", "", title)
 
 
+def is_titled(name: str, title: str) -> bool:
+    """Return whether a title without its family is that of a move of this name, for any state."""
+    before, filled, after = name.partition("{state}")
+    if not filled:
+        return title == name
+    return title.startswith(before) and title.endswith(after)
+
+
 def _value(value: object) -> str:
     """A setting's value, without brackets; `none` where it is not set."""
     if isinstance(value, float):
