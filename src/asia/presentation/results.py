@@ -1,4 +1,4 @@
-"""What a finished search is judged by: repeated fits, ablation, final models, sealed test."""
+"""Tables of a finished search: repeated fits, ablation, final models, sealed test."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView
 from asia.recipe import read_recipe
 
-K = TypeVar("K")
+_Key = TypeVar("_Key")
 PROPOSED = "as proposed"
 """Variant that is the candidate itself."""
 
@@ -228,7 +228,7 @@ def chosen_of(
     )
 
 
-def behind_least(errors: Mapping[K, Array]) -> tuple[dict[K, float], dict[K, float]]:
+def behind_least(errors: Mapping[_Key, Array]) -> tuple[dict[_Key, float], dict[_Key, float]]:
     """How far each of several errors is behind the least, and the standard errors.
 
     The standard error is that of the paired difference, or that of the least error if this is
@@ -238,7 +238,7 @@ def behind_least(errors: Mapping[K, Array]) -> tuple[dict[K, float], dict[K, flo
         errors: (n,) of each on the same parts of held-out records
     """
     best = min(errors.values(), key=lambda e: float(e.mean()))
-    behind, deviation = dict[K, float](), dict[K, float]()
+    behind, deviation = dict[_Key, float](), dict[_Key, float]()
     for name, e in errors.items():
         behind[name] = float((e - best).mean())
         deviation[name] = 0.0
