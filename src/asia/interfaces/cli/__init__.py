@@ -76,6 +76,8 @@ class Commands(TyperGroup):
             run, panel = _loaded(part), f"Commands of {part.package}"
             if isinstance(run, Command):
                 run, panel = run.run, None
+        # A group of one command stays a group.
+        make = typer.main.get_group if isinstance(run, typer.Typer) else typer.main.get_command
         if not isinstance(run, typer.Typer):
             own, run = run, typer.Typer(add_completion=False, rich_markup_mode="markdown")
             prints = _on_terminal if own in _SEARCHES else partial(bool, own in _PRINTING)
@@ -84,7 +86,7 @@ class Commands(TyperGroup):
                     own, _BRIEF_HELP.get(own), prints_progress=prints, added=_added(cmd_name)
                 )
             )
-        command: Any = typer.main.get_command(run)
+        command: Any = make(run)
         command.name, command.rich_help_panel = cmd_name, panel
         return command
 
