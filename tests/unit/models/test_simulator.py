@@ -241,13 +241,18 @@ def test_records_in_memory_take_a_function_or_its_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_unit_of_asias_own_export_is_calibrated(tmp_path: Path) -> None:
+def test_a_unit_of_asias_own_export_is_calibrated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from asia.export.targets.fmu import FmuTarget
+    from tests.unit.export import models
     from tests.unit.export.models import linear_model, ready
 
     fmpy: Any = pytest.importorskip("fmpy")
     if FmuTarget().missing():
         pytest.skip(str(FmuTarget().missing()))
+    # The same model whatever other tests drew before.
+    monkeypatch.setattr(models, "rng", np.random.default_rng(0))
     model = ready(linear_model(0)).model
     unit = FmuTarget().print(model).files["model_fmi2.fmu"]
     assert isinstance(unit, bytes)
