@@ -12,12 +12,15 @@ from asia._text import one_line
 from asia.agents.bayes import BayesAgent
 from asia.agents.expert.agent import ExpertAgent
 from asia.agents.leading import FOLLOWING, LeadingAgent, read_leading_settings
+from asia.agents.library.family import Family
+from asia.agents.library.registry import family
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.settings import LlmSettings
 from asia.agents.random import RandomAgent
 from asia.agents.view import Agent, settings_of
 from asia.errors import UserError
 from asia.ledger.events import Started
+from asia.recipe import Recipe, read_recipe
 
 GROUP = "asia.agents"
 _CLASS = "class"
@@ -176,6 +179,13 @@ def can_read_records(name: str) -> bool:
     """Return whether this agent can read the training records, so that V alone is no evidence: all
     that write candidates, also those that are not built in."""
     return agent_row(name).writes_code
+
+
+def library_candidate(source: str) -> tuple[Recipe, Family] | None:
+    """Return a candidate of the model library as data, with its family; None for another source."""
+    recipe = read_recipe(source)
+    row = None if recipe is None else family(recipe.family)
+    return None if recipe is None or row is None else (recipe, row)
 
 
 def _called(named: Part | str) -> NamedAgent:

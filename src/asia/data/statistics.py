@@ -9,7 +9,7 @@ the signals.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any, Literal
 
@@ -502,70 +502,33 @@ def several_levels(records: Sequence[Trajectory]) -> bool:
     return len(cuts) > 0 and min(map(len, np.split(sizes, cuts))) >= _FEWEST
 
 
-# Relation of inputs and outputs in the training records: effect of the inputs, delay, feedback
-# from outputs to inputs, and instability.
-#
-# Correlations are those of innovations, the part of a signal that its own past does not predict.
-# Source: L. D. Haugh, Checking the independence of two covariance-stationary time series, J. Am.
-# Stat. Assoc. 71, 1976.
+# Effect of the inputs, size of a feedback, and instability.
 
 
-_REACH = 400
-# A signal whose past predicts it to this share of its standard deviation holds nothing new.
-_NOTHING_NEW = 0.02
-# Lags of means of blocks, and the share of an error that inputs take away by more than chance.
-_EFFECT_LAGS, _LEAST_GAIN = 4, 0.03
 # A mode that grows this much over the records.
 _GROWTH = 100.0
 
 
-@dataclass(frozen=True)
-class Relation:
-    """Relation of inputs and outputs in the training records."""
-
-    effect: float
-    """Greatest correlation of an output's innovation with those of the inputs or of their squares;
-    0 where it is not significant, or where the inputs are too regular to tell."""
-    delay: int
-    """Samples after which an input acts first; 0 where no effect is seen."""
-    feedback: float
-    """Greatest correlation of an input with past disturbances of outputs; 0 where it may be
-    chance, or where the inputs are too regular to tell."""
-    pole: float
-    """Greatest modulus of the poles of a linear one-step model."""
-    reach: int
-    """Greatest lag in samples that was looked at."""
-    length: int
-    """Samples of the longest record."""
-    gain: float
-    """Share of the error of one step, on samples left out, that inputs and their squares take
-    away from that of past outputs alone."""
-
-    @property
-    def acts(self) -> bool:
-        """Whether an effect of an input is seen."""
-        return self.effect > 0.0 or self.gain > _LEAST_GAIN
-
-    @property
-    def unstable(self) -> bool:
-        """Whether a growing mode makes a free simulation diverge."""
-        return _diverges(self.pole, self.length)
+@once_for_records
+def acts(records: tuple[Trajectory, ...]) -> bool:
+    """Return whether an input, or its square, has an effect on an output."""
+    squared = tuple(replace(r, u=(r.u - r.u.mean(axis=0)) ** 2) for r in records)
+    found = (d for part in (records, squared) for row in delays(part) for d in row)
+    return any(d is not None and d.lag is not None for d in found)
 
 
-def _diverges(pole: float, samples: int) -> bool:
-    return pole**samples > _GROWTH
+@once_for_records
+def feedback_size(records: tuple[Trajectory, ...]) -> float:
+    """Greatest correlation of an input with past disturbances of outputs; 0 where it may be chance,
+    or where the inputs are too regular to tell."""
+    return float(_feedback(records)[1].max(initial=0.0))
 
 
-def _first_samples(records: Sequence[Trajectory]) -> tuple[list[Trajectory], int]:
-    """First samples of each record that is long enough, and the greatest lag to look at."""
-    most = max(_MOST_SAMPLES // len(records), 20 * _OWN_LAGS)
-    reach = min(_REACH, min(most, max(map(len, records))) // 4)
-    return [r[:most] for r in records if min(most, len(r)) > reach + 2 * _OWN_LAGS], reach
-
-
-def _largest_pole(records: Sequence[Trajectory]) -> float:
+@once_for_records
+def largest_pole(records: tuple[Trajectory, ...]) -> float:
     """Greatest modulus of the poles of a linear one-step model; 0 for short records."""
-    signals = [(r.u, r.y) for r in _first_samples(records)[0]]
+    most = max(_MOST_SAMPLES // len(records), 20 * _OWN_LAGS)
+    signals = [(r.u[:most], r.y[:most]) for r in records if len(r) > 6 * _OWN_LAGS]
     poles: list[float] = []
     for k in range(records[0].y.shape[1]) if signals else ():
         # A model of too high an order has poles of its own: the lesser of two orders counts. The
@@ -575,31 +538,9 @@ def _largest_pole(records: Sequence[Trajectory]) -> float:
     return max(poles, default=0.0)
 
 
-@once_for_records
-def relation(records: tuple[Trajectory, ...]) -> Relation:
-    """Relation of inputs and outputs in the training records."""
-    usable, reach = _first_samples(records)
-    inputs, outputs = range(records[0].u.shape[1]), range(records[0].y.shape[1])
-    of_outputs = [_innovations([r.y[:, k] for r in usable]) for k in outputs]
-    of_inputs = [_innovations([r.u[:, j] for r in usable]) for j in inputs]
-    of_squares = [
-        _innovations([(r.u[:, j] - r.u[:, j].mean()) ** 2 for r in usable]) for j in inputs
-    ]
-    known = [y for y in of_outputs if y is not None]
-    ahead = [(y, u) for y in known for u in (*of_inputs, *of_squares) if u is not None]
-    effect = _strongest(ahead, range(reach + 1))
-    lags = [d.lag for row in delays(records) for d in row if d is not None and d.lag is not None]
-    # Slow effects are hidden by the noise of single samples, and seen in means of blocks.
-    blocks = (1, max(1, sum(map(len, usable)) // _BLOCKS))
-    return Relation(
-        effect=effect,
-        delay=min(lags, default=0),
-        feedback=float(_feedback(records)[1].max(initial=0.0)),
-        pole=_largest_pole(records),
-        reach=reach,
-        length=max(map(len, records)),
-        gain=max((_input_gain(usable, k, size) for k in outputs for size in blocks), default=0.0),
-    )
+def unstable(records: Sequence[Trajectory]) -> bool:
+    """Return whether a growing mode makes a free simulation of the longest record diverge."""
+    return largest_pole(records) ** max(map(len, records)) > _GROWTH
 
 
 @once_for_records
@@ -609,77 +550,7 @@ def needs_loop(records: tuple[Trajectory, ...]) -> bool:
     if min(map(len, records)) < 2 * _SHORTEST:
         return False
     halves = [r[: len(r) // 2] for r in records], [r[len(r) // 2 :] for r in records]
-    parts = (records, *halves)
-    return all(_diverges(_largest_pole(part), max(map(len, part))) for part in parts)
-
-
-def _innovations(signals: Sequence[Array]) -> tuple[Array, ...] | None:
-    """Return the normalised innovation of each record's signal; None where it is close to zero."""
-    size = float(np.concatenate(signals).std()) if signals else 0.0
-    if size <= 0:
-        return None
-    scaled = [signal / size for signal in signals]
-    pasts = [
-        np.column_stack(
-            [*_lagged(s, range(1, _OWN_LAGS + 1), _OWN_LAGS), np.ones(len(s) - _OWN_LAGS)]
-        )
-        for s in scaled
-    ]
-    response = np.concatenate([s[_OWN_LAGS:] for s in scaled])
-    theta = np.linalg.lstsq(np.concatenate(pasts), response, rcond=1e-10)[0]
-    new = [s[_OWN_LAGS:] - past @ theta for s, past in zip(scaled, pasts, strict=True)]
-    left = float(np.concatenate(new).std())
-    return tuple(n / left for n in new) if left > _NOTHING_NEW else None
-
-
-def _strongest(pairs: Sequence[tuple[tuple[Array, ...], tuple[Array, ...]]], lags: range) -> float:
-    """The greatest correlation of (a, b delayed); 0 where it may be chance."""
-    found: list[tuple[float, float]] = []
-    for a, b in pairs:
-        samples = sum(map(len, a))
-        for lag in lags:
-            products = np.concatenate(
-                [p[lag:] * q[: len(q) - lag] for p, q in zip(a, b, strict=True)]
-            )
-            # Held inputs are new at few samples: their correlations by chance are the larger.
-            chance = float((products**2).sum()) ** 0.5 / samples
-            found.append((abs(float(products.sum())) / samples, chance))
-    band = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / (2 * max(len(found), 1)))
-    return max((size for size, chance in found if size > max(band * chance, _LEAST)), default=0.0)
-
-
-def _input_gain(records: Sequence[Trajectory], output: int, size: int) -> float:
-    """Return the share of the one-step error of block means that the inputs take away."""
-    own: list[Array] = []
-    driven: list[Array] = []
-    responses: list[Array] = []
-    for record in records:
-        y = _block_means(record.y[:, output : output + 1], size)[:, 0]
-        u = _block_means(record.u, size)
-        rows = len(y) - _EFFECT_LAGS
-        if rows < 2:
-            continue
-        past = _lagged(y, range(1, _EFFECT_LAGS + 1), _EFFECT_LAGS)
-        inputs = np.hstack([u, (u - u.mean(axis=0)) ** 2])
-        late = _lagged(inputs, range(_EFFECT_LAGS + 1), _EFFECT_LAGS)
-        own.append(np.column_stack([*past, np.ones(rows)]))
-        driven.append(np.column_stack([*past, *late, np.ones(rows)]))
-        responses.append(y[_EFFECT_LAGS:])
-    if not responses:
-        return 0.0
-    response = np.concatenate(responses)
-    without = _left_out_error(np.concatenate(own), response)
-    return 1.0 - _left_out_error(np.concatenate(driven), response) / max(without, 1e-300)
-
-
-def _left_out_error(x: Array, y: Array) -> float:
-    """Root mean square error of each half by a linear model of the other."""
-    spread = np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)
-    x, half, total = x / spread, len(y) // 2, 0.0
-    for fitted, left in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
-        theta = np.linalg.lstsq(x[fitted], y[fitted], rcond=1e-8)[0]
-        total += float(((y[left] - x[left] @ theta) ** 2).sum())
-    return (total / len(y)) ** 0.5
+    return all(unstable(part) for part in (records, *halves))
 
 
 # Dry friction, hysteresis and backlash.

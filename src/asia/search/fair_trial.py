@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from asia.agents.library.registry import family
+from asia.agents.registry import library_candidate
 from asia.agents.view import LINEAR, PARENT
 from asia.candidate import source_digest
 from asia.data.trajectory import Array
@@ -31,7 +31,6 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView
-from asia.recipe import read_recipe
 
 _Key = TypeVar("_Key")
 PROPOSED = "as proposed"
@@ -145,10 +144,10 @@ def variants_of(
         fair: whether it is compared with that even if it leaves nothing open
         values: of the path, None for those of the family
     """
-    recipe = read_recipe(source)
-    row = None if recipe is None else family(recipe.family)
-    if recipe is None or row is None:
+    known = library_candidate(source)
+    if known is None:
         return {}
+    recipe, row = known
     found = {} if row.kind == "equations" else dict(begins)
     if row.path is None or not row.path.is_open(recipe):
         own = any(source_digest(one) == source_digest(source) for one in begins.values())
@@ -162,13 +161,13 @@ def variants_of(
 def finer_path(source: str, variants: Sequence[Variant]) -> tuple[float, ...]:
     """Values of the path that were compared, and one midway between the best and the better one
     beside it."""
-    recipe = read_recipe(source)
-    row = None if recipe is None else family(recipe.family)
-    if row is None or row.path is None:
+    known = library_candidate(source)
+    path = None if known is None else known[1].path
+    if path is None:
         return ()
     errors = {v.name: inf if v.error is None else v.error for v in variants}
-    titles = {value: f"{row.path.name} {value:g}" for value in row.path.values}
-    values = [value for value in row.path.values if titles[value] in errors]
+    titles = {value: f"{path.name} {value:g}" for value in path.values}
+    values = [value for value in path.values if titles[value] in errors]
     ranked = sorted(range(len(values)), key=lambda i: errors[titles[values[i]]])
     beside = [i for i in ranked if abs(i - ranked[0]) == 1] if ranked else []
     if not beside:

@@ -12,7 +12,7 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia.candidate import ParameterEstimates
-from asia.data.statistics import integrating, needs_loop, relation
+from asia.data.statistics import integrating, largest_pole, needs_loop, unstable
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
@@ -45,7 +45,7 @@ from asia.recipe import MODELS, read_recipe
 from asia.search.agent_views import problem_facts
 from asia.search.fair_trial import behind_least, evaluation_of
 from asia.search.guard import Gate
-from asia.search.stress import StressRoom, bounded_model
+from asia.search.stress import NEAR, StressRoom, bounded_model
 
 # One model of all training records: a refit, unless the ensemble or a fold model fits them better.
 
@@ -277,8 +277,6 @@ def one_model(refitted: Refitted) -> ModelToUse:
 
 
 MOST_MEMBERS = 8
-# V of a member at most, relative to the best one.
-NEAR = 1.5
 
 
 def stack_weights(values: Array) -> Array:
@@ -470,8 +468,7 @@ def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
         names = dict.fromkeys(signal.name for signal in problem.inputs)
     if not names:
         return None
-    found = relation(records)
-    return Feedback(tuple(names), found.pole if found.unstable else None)
+    return Feedback(tuple(names), largest_pole(records) if unstable(records) else None)
 
 
 def _sound_in_loop(problem: Problem, view: SearchView, store: Store) -> set[int]:

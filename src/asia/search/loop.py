@@ -11,11 +11,9 @@ from pathlib import Path
 
 from asia._diagnostic import diagnostic
 from asia._timer import Activity, ActivityTimer
-from asia.agents.library.traits import why_nothing_helps
 from asia.agents.view import (
     Agent,
     AgentStoppedError,
-    AgentView,
     Attached,
     Closing,
     InterruptedWaitError,
@@ -41,6 +39,7 @@ from asia.ledger.events import (
 from asia.ledger.index import refresh
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.exports import write_exports
+from asia.problem.obstacles import obstacle
 from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
 from asia.search.decision import decide
@@ -158,17 +157,16 @@ class Loop:
                 assert best.score is not None
                 is_model = self.problem.control is None
                 if is_model and folds_below(explained_variance(best.score), 0.0):
-                    refitted = replace(refitted, cause=why_nothing_helps(self._shown()))
+                    facts, value = problem_facts(self.problem), best.score.value
+                    lowest = f" (best V {value:.3g} of #{best.number:02d})"
+                    cause = obstacle(facts.records, facts.horizon, facts.past, lowest)
+                    refitted = replace(refitted, cause=cause)
             self.record(refitted)
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):
                 look = self.gate.look(self.view)
             self.record(look)
         self.steering.record_noted(self.record)
-
-    def _shown(self) -> AgentView:
-        """View of the search for an agent."""
-        return agent_view(problem_facts(self.problem), self.view, self.store, self.known_trials)
 
     def record(self, event: Event) -> None:
         """Append to the ledger, rewrite the generated files, tell the listener. From any thread."""
@@ -237,7 +235,8 @@ class Loop:
                 if not view.experiments:
                     phase, proposal = "baseline", _baseline(self.baseline)
                 else:
-                    shown = self._shown()
+                    facts = problem_facts(self.problem)
+                    shown = agent_view(facts, self.view, self.store, self.known_trials)
                     phase, proposal = shown.phase, self.agent.propose(shown)
                 if proposal is None:
                     return Stopped("exhausted")

@@ -46,8 +46,10 @@ _MOST_SAMPLES = 20_000
 _RECOMBINED, _MOVED, _SCALES = 4, 2, (0.5, 1.5)
 # Noise on the initial outputs, in standard deviations.
 _PERTURBATION = 0.1
-# Other experiments whose models are tried in place of the best candidate's, and their largest V.
-_OTHERS, _NEAR = 3, 1.5
+# Other experiments whose models are tried in place of the best candidate's.
+_OTHERS = 3
+NEAR = 1.5
+"""Largest V of an experiment beside the best one, relative to it."""
 # Parts of a record over which a change of speed is measured, so that noise hardly counts.
 _BENDS = 50
 
@@ -206,7 +208,7 @@ def bounded_model(
         for other in view.finished
         if other.score is not None
         and other.number != best.number
-        and other.score.value <= _NEAR * best.score.value
+        and other.score.value <= NEAR * best.score.value
         and (other.result is None or other.result.duplicate_of is None)
     ]
     checked: dict[int, Experiment] = {}

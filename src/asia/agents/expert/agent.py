@@ -31,13 +31,14 @@ from asia.agents.expert.diagnosis import (
     leading_maps,
     places,
     reason_to_end,
+    why_nothing_helps,
 )
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import avoided, read_notes
 from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title, title_of
 from asia.agents.library.registry import families, family
-from asia.agents.library.traits import traits, why_nothing_helps
+from asia.agents.library.traits import traits
 from asia.agents.view import (
     LINEAR,
     PARENT,

@@ -13,10 +13,11 @@ from asia.agents.library.move import (
     is_titled,
     plain_title,
 )
-from asia.agents.library.traits import DELAY_TRIED, periodic, sign_lost
+from asia.agents.library.traits import periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
-from asia.data.statistics import noise_of_periods, relation
+from asia.data.statistics import feedback_size, largest_pole, noise_of_periods, unstable
+from asia.problem.obstacles import DELAY_TRIED, least_delay, obstacle
 from asia.recipe import Arguments, Recipe, read_recipe
 
 # Strategy while no candidate beats the mean of the output: moves to other model classes.
@@ -34,9 +35,16 @@ def beats_nothing(view: AgentView) -> bool:
     return len(tried) >= 3 and len(set(tried)) >= 2
 
 
+def why_nothing_helps(view: AgentView) -> str:
+    """Describe the likely cause in the training records, and the remedy."""
+    best, facts = view.best, view.facts
+    lowest = "" if best is None else f" (best V {best.value:.3g} of #{best.number:02d})"
+    return obstacle(facts.records, facts.horizon, facts.past, lowest)
+
+
 def _late(at: Situation) -> int:
     """Shown: without the delay a model sees only inputs that do not act yet."""
-    late = relation(at.facts.records).delay
+    late = least_delay(at.facts.records)
     there = at.recipe.number("delay", 0) >= late - 1
     return SHOWN * (at.recipe.has("delay") and late > DELAY_TRIED and not there)
 
@@ -55,17 +63,17 @@ def _integrator(at: Situation) -> int:
     free = free and not (at.recipe.get("regularised") or at.recipe.get("loop"))
     if not (_stuck(at) and free) or at.facts.horizon is not None:
         return 0
-    found = relation(at.facts.records)
+    records = at.facts.records
     # A mode that hardly comes back.
-    return LIKELY if found.pole > 0.97 and not found.unstable else POSSIBLE
+    return LIKELY if largest_pole(records) > 0.97 and not unstable(records) else POSSIBLE
 
 
 COURSE_MOVES: tuple[Move, ...] = (
     Move(
         name="inputs that act after {state} samples",
-        state=lambda c: str(relation(c.facts.records).delay),
+        state=lambda c: str(least_delay(c.facts.records)),
         evidence=_late,
-        change=lambda c: c.recipe.configured(delay=relation(c.facts.records).delay - 1),
+        change=lambda c: c.recipe.configured(delay=least_delay(c.facts.records) - 1),
         hypothesis="The innovations of the outputs correlate with those of the inputs at this "
         "delay, which is longer than a model detects automatically.",
         expected="A far lower V.",
@@ -161,7 +169,7 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
     found = dict(best.diagnoses)
     found["sign"] = sign_lost(view.facts) if "output_map" not in best.source else 0.0
     if coloured(best) and view.facts.horizon is None:
-        found["closed loop"] = 0.5 * relation(view.facts.records).feedback
+        found["closed loop"] = 0.5 * feedback_size(view.facts.records)
     large = [(k, v) for k, v in found.items() if v >= _LEAST_SHARE and k in ANSWERS]
     return tuple(sorted(large, key=lambda item: -item[1]))
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from math import ceil, log
 from typing import Literal
 
 import numpy as np
 
-from asia.agents.view import AgentView, Facts
-from asia.data.statistics import Relation, integrating, period, relation, resonant
+from asia.agents.view import Facts
+from asia.data.statistics import integrating, period, resonant
 from asia.problem.symmetry import of_signals
 
 Trait = Literal[
@@ -93,62 +92,3 @@ def sign_lost(facts: Facts) -> float:
     if (y.min(axis=0) < -0.05 * high).any() or (high <= 0).any():
         return 0.0
     return 1.0 if _described(facts, _UNSIGNED) else 0.5 * bool((low < 0.05 * high).all())
-
-
-DELAY_TRIED = 10
-"""The greatest delay that families look for by themselves."""
-
-
-def why_nothing_helps(view: AgentView) -> str:
-    """Describe the likely cause in the training records, and the remedy."""
-    best = view.best
-    lowest = "" if best is None else f" (best V {best.value:.3g} of #{best.number:02d})"
-    facts, found = view.facts, relation(view.facts.records)
-    advice = _windows(facts, found)
-    if found.unstable:
-        loop = (
-            " and the inputs follow the past outputs: a control loop stabilises it"
-            if found.feedback
-            else ""
-        )
-        cause = f"the plant is unstable (a pole of modulus {found.pole:.4g}){loop}. {advice}"
-    elif found.feedback:
-        cause = (
-            f"the inputs follow the past outputs (correlation {found.feedback:.2f}): the records "
-            "come from a closed loop, and the outputs follow unmeasured disturbances. "
-            f"{advice} Or excite the set point and record it as an input."
-        )
-    elif not found.acts:
-        cause = (
-            "no input and no squared input has a significant effect on an output within "
-            f"{found.reach} samples. Check that inputs and outputs are synchronised, that the "
-            "inputs vary enough, and that the input that drives the plant is recorded. "
-            f"{advice}"
-        )
-    elif found.delay > DELAY_TRIED:
-        cause = f"the dead time is {found.delay} samples. Models with this delay follow."
-    elif integrating(facts.records):
-        cause = (
-            "an output drifts with the sum of the inputs, so that small input errors "
-            f"accumulate. Models with free integrators follow. {advice}"
-        )
-    else:
-        cause = (
-            "the inputs have an effect, but no model so far predicts it over a whole simulation. "
-            f"Other initial values and model classes follow. {advice}"
-        )
-    return f"no candidate beats the mean of the output{lowest}: {cause}"
-
-
-def _windows(facts: Facts, found: Relation) -> str:
-    """Advice on windows: as long as an error needs to grow tenfold."""
-    if facts.horizon is not None:
-        return (
-            f"Shorter windows than {facts.horizon} samples, or a longer past window than "
-            f"{facts.past} samples, make the task easier."
-        )
-    long = ceil(log(10.0) / log(found.pole)) if found.unstable else 50
-    return (
-        'Use kind = "windows" in [protocol]: each simulation then starts from measured outputs '
-        f"(horizon = {min(long, 200)} or less)."
-    )

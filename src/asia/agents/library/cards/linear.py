@@ -16,13 +16,12 @@ from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situat
 from asia.agents.library.space import OneOf, Space
 from asia.agents.library.traits import periodic
 from asia.agents.view import Facts
-from asia.data.statistics import delays, several_levels
+from asia.data.statistics import several_levels
+from asia.problem.obstacles import DELAY_TRIED, least_delay
 from asia.recipe import Arguments, Recipe
 
 # Share of the error for which another state is taken.
 _FINER = 0.005
-# Greatest delay that a fit looks for by itself.
-_DELAYS_TRIED = 10
 # Share by which V of the best linear model is below that of the baseline, to be tried at once.
 _CLEAR = 0.03
 
@@ -38,7 +37,7 @@ def _linear(facts: Facts) -> Recipe:
     known: Arguments = facts.linear or (("order", None), ("delay", None), ("periodic", True))
     recipe = Recipe("linear", known, LM, (("iterations", 30),))
     late = _shared_delay(facts)
-    if late > _DELAYS_TRIED:
+    if late > DELAY_TRIED:
         recipe = recipe.configured(delay=late)
     if not _is_special(recipe):
         recipe = recipe.configured(**dict(integrator_setting(facts)))
@@ -49,8 +48,7 @@ def _shared_delay(facts: Facts) -> int:
     """Samples by which every input acts later than in the next sample, by the records."""
     if any(signal.role == "time_step" for signal in facts.inputs):
         return 0
-    found = [d.lag for row in delays(facts.records) for d in row if d and d.lag is not None]
-    return max(min(found, default=1) - 1, 0)
+    return max(least_delay(facts.records) - 1, 0)
 
 
 def _is_special(recipe: Recipe) -> bool:
