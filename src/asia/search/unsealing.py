@@ -15,7 +15,6 @@ from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, data_digest
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import mean_simulation
 from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, score_fold
@@ -196,15 +195,11 @@ class _TestScorer:
 
     def score(self, members: Sequence[FinalMember]) -> TestedModel | Failure:
         """The score of the weighted mean of the members' simulations, or why there is none."""
-        total: list[Array] = [np.zeros_like(block.y) for block in self.blocks]
-        for member in tracked(members, "model"):
-            answers = self._simulated(replace(member, weight=1.0))
-            if isinstance(answers, Failure):
-                return answers
-            y_hat = mean_simulation(answers)
-            total = [t + member.weight * one for t, one in zip(total, y_hat, strict=True)]
-        y = [b.y for b in self.blocks]
-        measured, simulated = (by_record(parts, self.blocks) for parts in (y, total))
+        each = self._each_simulation(members)
+        if isinstance(each, Failure):
+            return each
+        parts = [b.y for b in self.blocks], [one.mean(axis=0) for one in each]
+        measured, simulated = (by_record(one, self.blocks) for one in parts)
         skip = self.problem.protocol.test.skip
         try:
             scores, mee = score_sealed(self.problem, measured, simulated)
@@ -223,7 +218,7 @@ class _TestScorer:
         assert named is not None
         final = self._each_simulation(final_members(view, named.model))
         folds = self._each_simulation(models_behind(view, named.model))
-        if final is None or folds is None:
+        if isinstance(final, Failure) or isinstance(folds, Failure):
             return None
         basis = band_basis(self.evaluator, view, self.store, named.model)
         for output, reason in zip(self.problem.outputs, basis.calibration.withdrawn, strict=True):
@@ -256,13 +251,13 @@ class _TestScorer:
             upper=self.store.put_arrays(upper),
         )
 
-    def _each_simulation(self, members: Sequence[FinalMember]) -> list[Array] | None:
-        """Simulations (K, H, ny) of each block with the members' mean; None where one fails."""
+    def _each_simulation(self, members: Sequence[FinalMember]) -> list[Array] | Failure:
+        """Simulations (K, H, ny) of each block with the members' mean, or why there are none."""
         total: list[Array] = [np.zeros((1, *block.y.shape)) for block in self.blocks]
         for member in tracked(members, "model"):
             answers = self._simulated(replace(member, weight=1.0))
             if isinstance(answers, Failure):
-                return None
+                return answers
             parts = [np.stack(one) for one in zip(*answers, strict=True)]
             total = [t + member.weight * part for t, part in zip(total, parts, strict=True)]
         return total

@@ -159,7 +159,29 @@ def briefing(facts: Facts) -> str:
     """Describe task, problem, contract and library for an agent."""
     if facts.control is not None and facts.identification is not None:
         return _control_briefing(facts, facts.identification)
-    contract = _CONTRACT.format(
+    sections = {
+        "Description": bounded(facts.description, _TEXT),
+        "Signals": "\n".join(signal_lines(facts)),
+        "Judgement": "\n".join(_judgement(facts)),
+        "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
+        "Simulator": "" if facts.plant is None else "\n".join(simulator(facts.plant)),
+        "Frequency responses": "\n".join(response_lines(facts.responses)),
+        "Symmetry": "\n".join(symmetries(facts.symmetry)),
+        "Training records": "\n".join(_records(facts)),
+        "Contract": contract(facts),
+        "A small candidate": fenced(EXAMPLE, _SOURCE),
+        "Library": library(facts),
+        "Notes from the literature": bounded(facts.notes, _TEXT),
+        "Strategies suggested": bounded(facts.strategies, _TEXT),
+    }
+    parts = [_ROLE.format(metric=metric_label(facts.metric))]
+    parts += [f"# {title}\n{text}" for title, text in sections.items() if text]
+    return "\n\n".join(parts)
+
+
+def contract(facts: Facts) -> str:
+    """The contract of candidate.py."""
+    return _CONTRACT.format(
         nu=len(facts.inputs),
         ny=len(facts.outputs),
         pu=facts.n_past_u,
@@ -171,24 +193,6 @@ def briefing(facts: Facts) -> str:
         else _VALIDATION.format(scores=VALIDATION_SCORES),
         model=MODEL_RULES.replace("\n", "\n  "),
     )
-    sections = {
-        "Description": bounded(facts.description, _TEXT),
-        "Signals": "\n".join(signal_lines(facts)),
-        "Judgement": "\n".join(_judgement(facts)),
-        "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
-        "Simulator": "" if facts.plant is None else "\n".join(simulator(facts.plant)),
-        "Frequency responses": "\n".join(response_lines(facts.responses)),
-        "Symmetry": "\n".join(symmetries(facts.symmetry)),
-        "Training records": "\n".join(_records(facts)),
-        "Contract": contract,
-        "A small candidate": fenced(EXAMPLE, _SOURCE),
-        "Library": library(facts),
-        "Notes from the literature": bounded(facts.notes, _TEXT),
-        "Strategies suggested": bounded(facts.strategies, _TEXT),
-    }
-    parts = [_ROLE.format(metric=metric_label(facts.metric))]
-    parts += [f"# {title}\n{text}" for title, text in sections.items() if text]
-    return "\n\n".join(parts)
 
 
 def _control_briefing(facts: Facts, plant: Facts) -> str:
@@ -342,8 +346,7 @@ def library(facts: Facts) -> str:
 
 
 NO_CANDIDATE = "none"
-ERROR = 300
-
+# Characters of a hypothesis, an expectation or an error.
 _SAID = 300
 
 # Lines of evidence, each one line whatever a candidate printed.
@@ -458,8 +461,8 @@ def trial_line(trial: Trial) -> str:
         tail = "" if train is None else f", train_error {train:.4g}"
         parts = f" (folds {folds})" if folds else ""
         return f"{head}: V {trial.value:.5g}{parts}{tail}"
-    error = error_line(trial.error, ERROR)
-    said = f"; it said {quoted(error, ERROR)}" if error else ""
+    error = error_line(trial.error, _SAID)
+    said = f"; it said {quoted(error, _SAID)}" if error else ""
     return f"{head}: {one_line(trial.failure or 'failed', 200)}{said}"
 
 

@@ -467,12 +467,12 @@ def _offset(zone: str | None) -> int:
     return -size if zone[0] == "-" else size
 
 
-def _dated(order: str, day: str, clock: str = _CLOCK, join: str = _JOIN) -> Iterator[_Pattern]:
+def _dated(order: str, day: str) -> Iterator[_Pattern]:
     name = order.replace("-", " ")
     for form, period in (("24-hour", 0), ("12-hour", _DAY // 2)):
         yield _Pattern(
             name + (", 12-hour clock" if period else ""), frozenset((order, form)), _read_texts,
-            rf"{_WEEKDAY}{day}(?:{join}{clock})?", period,
+            rf"{_WEEKDAY}{day}(?:{_JOIN}{_CLOCK})?", period,
         )  # fmt: skip
 
 

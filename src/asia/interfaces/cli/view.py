@@ -31,9 +31,11 @@ def view(
 
     The printed address contains a token that the pages require.
     """
-    from asia.interfaces.view import require_server, serve_view
+    from asia.interfaces.view import require_server
 
     require_server()
+    from asia.interfaces.view.server import serve_view
+
     if run is not None and Path(run).is_dir() and not (Path(run) / "ledger.jsonl").exists():
         folder, name = Path(run).resolve(), None
     elif run is None and runs.is_dir():

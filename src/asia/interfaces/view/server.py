@@ -23,14 +23,19 @@ _HOST: Final = "127.0.0.1"
 _END_SECONDS = 1
 
 
-def serve(
+def serve_view(
     runs: Path,
     run: str | None,
     port: int,
     on_start: Callable[[str], object],
     starter: Starter | None = None,
 ) -> None:
-    """See `asia.interfaces.view.serve_view`."""
+    """Serve the runs below `runs` on 127.0.0.1 until interrupted.
+
+    run: whose page the address leads to; None for the list. port: 0 for any free one. on_start is
+    called with the address, which bears the token, once it answers. starter: starts searches for
+    the pages. Raises UserError where the port is taken.
+    """
     with _listening(port) as listener:
         bound = listener.getsockname()[1]
         token, streams = kept_token(runs), Streams()

@@ -8,13 +8,12 @@ from enum import Enum
 
 from asia.agents.library.pages import families_page, options_of
 from asia.agents.llm.prompt import (
-    MODEL_RULES,
+    contract,
     equations,
     response_lines,
     simulator,
     symmetries,
 )
-from asia.candidate import installed_libraries
 from asia.data.trajectory import Signal
 from asia.models._equations.config import Config
 from asia.problem.metrics import metric_label
@@ -23,13 +22,6 @@ from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts
 
 _WIDTH = 100
-_CONTRACT = '''```python
-def fit(trajectories, context):                 # called once for each fold
-    return train(build_model(context), trajectories, context)      # keep this layout
-class Model:                                    # what fit returns
-    def simulate(self, past_u, past_y, u):
-        """past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu) -> y_hat (B, H, ny)."""
-```'''
 
 
 class Confinement(Enum):
@@ -81,7 +73,7 @@ Inputs: {_signals(problem.inputs)}. Outputs: {_signals(problem.outputs)}. Sampli
     code = False
     for block in text.strip().split("\n\n"):
         fences = block.count("```")
-        if code or fences or block.lstrip()[:1] in ("#", "|"):
+        if code or fences or block.lstrip()[:1] in ("#", "|", "-"):
             blocks.append(block.strip())
         else:
             line = " ".join(block.split())
@@ -144,16 +136,9 @@ def _scoring(problem: Problem) -> str:
             f"V covers {covered}, in windows one after the other; the last window of a part ends "
             "with it and may overlap its neighbour."
         )
-    early_stopping = (
-        "A fit that stops early must hold out part of its own training records; the held-out "
-        "fold is never shown."
-    )
+    leaks = ""
     if rule.early_stopping != "inner":
-        early_stopping = (
-            "A fit may ask `context.validation_score(model)` for its score on the held-out part, a "
-            "limited number of times; it is None where nothing is held out. V is then not "
-            "leak-free, and is marked so."
-        )
+        leaks = "A fit sees scores of the held-out part: V is not leak-free, and is marked so.\n"
     sealed = "This problem has no test: V is all there is."
     if problem.test.source is not None:
         sealed = (
@@ -174,7 +159,7 @@ Metric: {metric_label(rule.metric)}. {covered}
 
 V is the error of the open-loop simulation over {std}, then the mean over outputs, then over folds.
 1 is as bad as the mean of the data.
-{early_stopping} `search_journal.md` begins with V of **reference models**.
+{leaks}`search_journal.md` begins with V of **reference models**.
 
 {_repeats(problem)} {sealed}
 """
@@ -193,7 +178,6 @@ For a library model without `ridge` one is chosen, or the linear model where tha
 
 
 def _contract(problem: Problem) -> str:
-    rule, budget = problem.protocol, problem.budget
     gaps = ""
     if any(record.missing is not None for record in problem.train):
         gaps = (
@@ -213,22 +197,14 @@ def _contract(problem: Problem) -> str:
             f"Each fit and its model have signals of {standard} over the training records of the\n"
             "fold. `data/` and V are in the units above.\n"
         )
+    # The list is a block of its own, whose lines stay as they are.
+    rules = contract(problem_facts(problem)).replace("\n- ", "\n\n- ", 1)
     return f"""## The contract
 
-{_CONTRACT}
+{rules}
 
-Arrays are float64 in physical units. `trajectories` are this fold's training records: `t.u`
-(T, nu), `t.y` (T, ny), `t.name`, `len(t)`. `u[:, k]` and `y_hat[:, k]` are the same sample;
-`past_*[:, -1]` is the one before. A model with `initial(past_u, past_y, u[:, 0])` -> state and
-`step(state, u[:, k])` -> state, y (B, ny) is scored sample by sample, any other by up to 64
-prefixes. `context` has `inputs` and `outputs` (`name`, `unit`), `sampling_time` (s), `n_past_u` =
-{rule.past_inputs}, `n_past_y` = {rule.past_outputs}, `horizon` = {rule.horizon} (None for whole
-blocks), `metric`, `physics` (below, or None), `symmetry`, `seed` (int, for all that is random),
-`deadline` (of `time.monotonic()`), `threads` (int), `log(step, loss)`. The model may have
-`parameters()`, at most 64 names and floats: you are shown them fold by fold. A fit may take
-{budget.fit_seconds:g} s on one core and {budget.memory_mb} MB. End it by a number of iterations,
-not by the clock. Import {", ".join(installed_libraries())} and `asia.models` (`models.md`). There
-is no network and no file. {MODEL_RULES}
+`t.name` is the name of a record. A fit may take {problem.budget.memory_mb} MB. `models.md` has the
+families of `asia.models`.
 {gaps}"""
 
 

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_type_hints
+from typing import Any, Literal, Self, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError, validate_call
 
 from asia._text import coarse, one_line
 from asia.agents.library.registry import imported_families
@@ -640,42 +640,12 @@ _CONNECTIONS = 32
 _SLOT_SECONDS = 1.0
 
 
-class _Call(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class _SubmitCall(_Call):
-    op: Literal["submit"] = "submit"
-    source: str
-    hypothesis: str
-    expected: str = ""
-    family: str = ""
-    title: str = ""
-    parent: int | None = None
-    remark: str = ""
-
-
-class _TicketCall(_Call):
-    op: Literal["submission", "withdraw"]
-    ticket: str
-
-
-class _ExperimentCall(_Call):
-    op: Literal["source", "evidence", "simulated"]
-    experiment: int
-
-
-class _DryRunCall(_Call):
-    op: Literal["dry_run"] = "dry_run"
-    source: str
-
-
-class _PlainCall(_Call):
-    op: Literal["results", "progress", "attended"]
-
-
-_AnyCall = _SubmitCall | _TicketCall | _ExperimentCall | _DryRunCall | _PlainCall
-_calls: TypeAdapter[_AnyCall] = TypeAdapter(Annotated[_AnyCall, Field(discriminator="op")])
+_OPERATIONS = (
+    "submit", "submission", "withdraw", "results", "source", "evidence", "progress", "attended",
+    "simulated", "dry_run",
+)  # fmt: skip
+_requests = TypeAdapter(dict[str, Any])
+_proposals = TypeAdapter(Proposal)
 
 
 class DeskServer:
@@ -739,12 +709,15 @@ def _answer(desk: RunDesk, raw: bytes) -> bytes:
     try:
         if len(raw) > MOST_BYTES or not raw.endswith(b"\n"):
             raise UserError(f"a request is one line of at most {MOST_BYTES} bytes")
-        call = _calls.validate_json(raw)
-        arguments = call.model_dump(exclude={"op"})
-        if isinstance(call, _SubmitCall):
-            found: Any = desk.submit(Proposal(**arguments))
+        request = _requests.validate_json(raw)
+        op = request.pop("op", None)
+        if op not in _OPERATIONS:
+            raise UserError("unknown request: expected op to be one of the submission server")
+        if op == "submit":
+            found: Any = desk.submit(_proposals.validate_python(request, strict=False))
         else:
-            found = getattr(desk, call.op)(**arguments)
+            # The signature of the method says what is valid.
+            found = validate_call(config=ConfigDict(strict=True))(getattr(desk, op))(**request)
         answer = {"ok": to_json(found)}
         return json.dumps(answer, allow_nan=False).encode()
     except UserError as error:
@@ -765,8 +738,7 @@ class SocketDesk:
 
     def submit(self, proposal: Proposal) -> Submission:
         """See `RunDesk.submit`."""
-        fields = {n: getattr(proposal, n) for n in _SubmitCall.model_fields if n != "op"}
-        return self._ask("submit", **fields)
+        return self._ask("submit", **asdict(proposal))
 
     def submission(self, ticket: str) -> Submission:
         """See `RunDesk.submission`."""

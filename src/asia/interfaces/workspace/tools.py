@@ -419,10 +419,9 @@ class WorkspaceTools:
         """Those that V is computed on."""
         return make_folds(self.problem.train, self.rule)
 
-    def blocks(self, count: int, gap: int = 0) -> tuple[Fold, ...]:
-        """Folds of your own: each record in `count` blocks, of which each is held out once; the
-        `gap` samples next to it train nothing."""
-        return self._split(FoldRule("contiguous", count, gap=gap or None))
+    def blocks(self, count: int) -> tuple[Fold, ...]:
+        """Folds of your own: each record in `count` blocks, of which each is held out once."""
+        return self._split(FoldRule("contiguous", count))
 
     def hold_out(self, names: Sequence[str]) -> tuple[Fold, ...]:
         """Return one fold of your own: these records are held out, all others train."""
@@ -549,9 +548,7 @@ def main(tools: WorkspaceTools) -> NoReturn:
     add("--seed", type=int, help="seeds of the fits; several show the spread of V")
     add("--fold", type=int, help="this fold alone, from 1")
     add("--blocks", type=int, help="folds of your own: number of parts of each record")
-    add("--gap", type=int, default=0, help="samples next to a part that are not used for training")
     add("--hold-out", metavar="NAMES", help="a fold of your own: hold these records out (A,B)")
-    add("--held-out", action="store_true", help="residuals of the held-out part as well")
     add(
         "--vary",
         action="append",
@@ -588,7 +585,7 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         tools = replace(tools, seed=options.seed)
     own = options.blocks is not None or options.hold_out is not None
     if options.blocks is not None:
-        folds = tools.blocks(options.blocks, options.gap)
+        folds = tools.blocks(options.blocks)
     elif options.hold_out is not None:
         folds = tools.hold_out(options.hold_out.split(","))
     else:
@@ -617,7 +614,7 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
     (candidate,) = options.candidates
     found = tools.evaluate(candidate, folds)
     whole = not own and len(found) == len(tools.folds)
-    held_out = options.held_out or tools.rule.residuals == "held_out"
+    held_out = tools.rule.residuals == "held_out"
     for line in tables(tools.problem, found, whole=whole, held_out=held_out):
         say(line)
     if not own and scored_locally(tools.folder) > 1:

@@ -164,7 +164,7 @@ def test_candidates_scored_on_the_folds_of_v_are_counted(tools: WorkspaceTools) 
     tools.evaluate_source(arx(2))
     tools.evaluate_source(f"# The same again.\n{arx(2)}")
     tools.evaluate_source(arx(1), tools.folds[:1])
-    tools.evaluate_source(arx(3), tools.blocks(2, gap=1))
+    tools.evaluate_source(arx(3), tools.blocks(2))
     assert scored_locally(tools.folder) == 2
 
 

@@ -13,8 +13,10 @@ import pytest
 from asia.errors import UserError
 from asia.interfaces import view as view_room
 from asia.interfaces.cli import main
-from asia.interfaces.view import PORT, require_server, serve_view
+from asia.interfaces.view import require_server
+from asia.interfaces.view import server as view_server
 from asia.interfaces.view.app import token_path
+from asia.interfaces.view.server import serve_view
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -32,7 +34,7 @@ def places(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path, str | None, int]
     def serve(folder: Path, run: str | None, port: int, *further: object) -> None:
         found.append((folder, run, port))
 
-    monkeypatch.setattr(view_room, "serve_view", serve)
+    monkeypatch.setattr(view_server, "serve_view", serve)
     return found
 
 
@@ -43,7 +45,7 @@ def test_a_run_a_folder_or_nothing_is_named(
         assert run(monkeypatch, *words) == 0
     for words in (["--runs", str(runs), "--port", "0"], [str(runs)]):
         assert run(monkeypatch, *words) == 0
-    assert places == [(runs, "made", PORT)] * 2 + [(runs, None, 0), (runs, None, PORT)]
+    assert places == [(runs, "made", 8731)] * 2 + [(runs, None, 0), (runs, None, 8731)]
 
 
 def test_a_run_that_is_not_there_is_a_users_error(

@@ -41,7 +41,6 @@ def _network(
     methods: tuple[Callable[[Facts, Recipe], Recipe], ...] = _STEP_BY_STEP,
     teacher: float | None = None,
     timing: Timing | None = None,
-    needs: frozenset[Trait] = frozenset(),
     unfit: frozenset[Trait] = frozenset(),
     against: frozenset[Trait] = frozenset(),
 ) -> Family:
@@ -84,7 +83,6 @@ def _network(
         use=use,
         base=base,
         points=points,
-        needs=needs,
         unfit=unfit,
         against=against,
         start=lambda facts: first(facts, "trial"),

@@ -67,7 +67,7 @@ def test_the_program_has_the_facts_of_the_problem(tmp_path: Path) -> None:
     for fact in (
         "14 are left for you",
         "the first 5 of each record",
-        "`n_past_u` = 5",
+        "past_u (B, 5, 1)",
         f"# python is {sys.executable}",
         "x1: 0 or more; x2: 0 to 10",
     ):
