@@ -201,10 +201,8 @@ def _contract(problem: Problem) -> str:
     rules = contract(problem_facts(problem)).replace("\n- ", "\n\n- ", 1)
     return f"""## The contract
 
-{rules}
+{rules} A fit may take {problem.budget.memory_mb} MB.
 
-`t.name` is the name of a record. A fit may take {problem.budget.memory_mb} MB. `models.md` has the
-families of `asia.models`.
 {gaps}"""
 
 
@@ -317,9 +315,9 @@ you; `--plot` adds pictures in `plots/`, of the training part{pictured}. Each ca
 `asia try` judges is one of {experiments} experiments. The first is the baseline, judged without
 you; {experiments - 1} are left for you. A source that was judged before is answered from the ledger
 and costs nothing.
-First try different model classes, one idea an experiment. Then refine the best by one change at a
-time. Read `results.tsv` and the journal before each idea. Prefer the simpler of two equally good
-candidates. Continue until all experiments are spent.
+First try different model classes (`models.md`), one idea an experiment. Then refine the best by one
+change at a time. Read `results.tsv` and the journal before each idea. Prefer the simpler of two
+equally good candidates. Continue until all experiments are spent.
 
 You may analyse `data/`. What you learn of the physics may go into a candidate as structure, ranges
 and priors with a reason. Numbers read off the held-out parts may not: each record is the answer of
