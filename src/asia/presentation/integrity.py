@@ -18,7 +18,8 @@ def integrity_facts(directory: Path, view: SearchView) -> Iterator[tuple[str, st
     if start.isolation_notes:
         yield "missing protection", "; ".join(start.isolation_notes)
     yield "sealed test", sealed_test_text(directory, view)
-    yield from (("V is", words) for words in v_notes(view))
+    none = "none: candidates hold out parts of their own training data"
+    yield "held-out data shown", "; ".join(v_notes(view)) or none
     yield "guard records", guard_text(view) or "none"
     yield "language model", usage_text(view.usage) if view.usage else "none used"
     yield from (("note of the user", note.text) for note in view.notes)

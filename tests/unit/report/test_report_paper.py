@@ -89,7 +89,7 @@ def test_the_paragraph_names_what_a_reader_has_to_know(run: Path) -> None:
         "linear model 0.3450",
         "isolation level namespace",
         "V = 0.2000",
-        "This run opened the test records",
+        "Sealed test: opened by this run once, after the search; SHA-256 ",
         view.started.lock_digest[:16],
     ):
         assert part in words

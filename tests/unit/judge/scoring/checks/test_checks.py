@@ -87,7 +87,7 @@ def test_a_sound_model_under_coloured_noise_passes(random: np.random.Generator) 
     noise = signal.lfilter([0.05], [1.0, -0.95], random.standard_normal(SAMPLES))
     checks = all_checks(simulations(y_hat, y_hat + noise, u))
     assert flagged(checks) == set()
-    assert [one.verdict for one in checks] == 7 * [Verdict.PASS]
+    assert [one.verdict for one in checks].count(Verdict.PASS) == 7
 
 
 @pytest.mark.parametrize(
