@@ -81,7 +81,7 @@ def sealed_test_text(directory: Path, view: SearchView) -> str:
     if digest is None:
         return "none"
     parts = [seal_text(directory, view)]
-    if view.unsealing is not None:
+    if view.unsealing is not None or view.unsealed is not None:
         parts.insert(0, "opened by this run once, after the search")
     if view.unsealing is not None and view.unsealing.process_consent:
         parts.append("the user agreed to open it, although candidates could have read it")
