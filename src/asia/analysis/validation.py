@@ -20,7 +20,7 @@ from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.bands import HeldOutErrors, error_sizes
-from asia.judge.scoring.checks.check import Check, Verdict, most_serious, summary
+from asia.judge.scoring.checks.check import Check, Verdict, most_serious
 from asia.judge.scoring.checks.errors import (
     check_bands,
     check_largest_error,
@@ -219,20 +219,11 @@ class ValidationReport:
     """Validation report: all checks of the model to use."""
 
     run: str
-    experiment: int
-    """Its best candidate, 1-based."""
-    model: Use
-    """Final model that simulated the small steps and the long run."""
-    record: str | None
-    """The new record that was simulated; None for the held-out samples of the folds."""
     checks: tuple[Check, ...]
+    event: Validated
+    """The report as the ledger keeps it."""
     recorded: bool
-    """True if the ledger, and so the report, has it; not before the search is finished."""
-
-    @property
-    def summary(self) -> str:
-        """Counts, and the sentence of the check that matters most."""
-        return summary(self.checks)
+    """True if the ledger, and so the page, has it; not before the search is finished."""
 
 
 def validate(
@@ -270,37 +261,36 @@ def validate(
     work = _Validation(run, problem, evaluator, best, chosen.model, progress)
     new = () if record is None else read_records(problem, record, reading)
     checks = work.new_records(new) if new else work.held_out()
-    name = "" if record is None else record.name
-    recorded = run.view.complete
-    if recorded:
-        worst = most_serious(checks)
-        with Chain(directory / "ledger.jsonl") as chain:
-            event = Validated(
-                experiment=best.number,
-                model=chosen.model,
-                record=name,
-                record_digest=data_digest(new) if new else "",
-                checks=tuple(
-                    RecordedCheck(
-                        name=one.name,
-                        verdict=one.verdict,
-                        # A line of the ledger has room for all checks.
-                        sentence=one_line(one.sentence, 2000),
-                        cause="" if one.cause is None else str(one.cause),
-                        weight=round(one.weight, 4),
-                    )
-                    for one in checks
-                ),
-                curves=put_curves(run.store, checks),
-                passed=sum(c.verdict is Verdict.PASS for c in checks),
-                doubtful=sum(c.verdict is Verdict.DOUBT for c in checks),
-                failed=sum(c.verdict is Verdict.FAIL for c in checks),
-                worst="" if worst is None else worst.name,
-                after_unsealing=chain.view.unsealing is not None,
+    recorded, worst = run.view.complete, most_serious(checks)
+    event = Validated(
+        experiment=best.number,
+        model=chosen.model,
+        record="" if record is None else record.name,
+        record_digest=data_digest(new) if new else "",
+        checks=tuple(
+            RecordedCheck(
+                name=one.name,
+                verdict=one.verdict,
+                # A line of the ledger has room for all checks.
+                sentence=one_line(one.sentence, 2000),
+                cause="" if one.cause is None else str(one.cause),
+                weight=round(one.weight, 4),
             )
+            for one in checks
+        ),
+        curves=put_curves(run.store, checks) if recorded else "",
+        passed=sum(c.verdict is Verdict.PASS for c in checks),
+        doubtful=sum(c.verdict is Verdict.DOUBT for c in checks),
+        failed=sum(c.verdict is Verdict.FAIL for c in checks),
+        worst="" if worst is None else worst.name,
+        after_unsealing=run.view.unsealing is not None,
+    )
+    if recorded:
+        with Chain(directory / "ledger.jsonl") as chain:
+            event = replace(event, after_unsealing=chain.view.unsealing is not None)
             if event not in chain.view.validated:
                 chain.append(event)
-    return ValidationReport(run.name, best.number, chosen.model, name or None, checks, recorded)
+    return ValidationReport(run.name, checks, event, recorded)
 
 
 @contextmanager

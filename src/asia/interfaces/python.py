@@ -26,7 +26,7 @@ from asia.ledger.events import Evaluated, Event, Use
 from asia.ledger.evidence import IdentifiedParameter, identified
 from asia.ledger.run import Run, find_run, model_to_use, open_run
 from asia.ledger.view import SearchView
-from asia.presentation.table import error_value
+from asia.presentation.experiments import experiment_line
 from asia.problem.folds import past_outputs
 from asia.problem.load import load_lock
 from asia.problem.plant import plant_file
@@ -431,14 +431,8 @@ class _Printer:
 
     def event(self, event: Event, view: SearchView) -> None:
         """Print the result of an experiment."""
-        if not isinstance(event, Evaluated):
-            return
-        experiment, best = view.experiment(event.experiment), view.best
-        found = experiment.score
-        value = "no score" if found is None else f"V={error_value(found.value)}"
-        lowest = f"best #{best.number:02d}" if best else "best none"
-        title = experiment.proposed.title
-        say(f"#{event.experiment:02d} {event.status:<12} {value:<10} {title:<44} | {lowest}")
+        if isinstance(event, Evaluated):
+            say(experiment_line(view.experiment(event.experiment), view))
 
     def close(self) -> None:
         """Close without effect."""

@@ -313,7 +313,7 @@ def evidence_of(
     assert result is not None
     findings = findings_of(store, experiment)
     count = len(result.folds)
-    differences = _differences(experiment, view)
+    differences = compared_scores(experiment, view)
     noise = noise_of_repeats(view, {experiment.number, *(one.experiment for one in differences)})
     printed, failed_fold = "", ""
     if result.output is not None and not result.folds:
@@ -338,7 +338,8 @@ def evidence_of(
     )
 
 
-def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScore, ...]:
+def compared_scores(experiment: Experiment, view: SearchView) -> tuple[ComparedScore, ...]:
+    """V of an experiment less that of its parent and of the best one before; () without a score."""
     if experiment.score is None:
         return ()
     value, parent = experiment.score.value, experiment.proposed.parent

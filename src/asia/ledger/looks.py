@@ -4,7 +4,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -93,21 +93,6 @@ def look_by_copy(directory: Path, view: SearchView) -> Look | None:
 def copy_words(run: str, look: Look) -> str:
     """Say that a copy of a run opened its test."""
     return one_line(f"the test of run '{run}' was opened by a copy, {look.words}", 400)
-
-
-def seal_words(directory: Path, view: SearchView) -> str | None:
-    """Describe a look at the test that its own ledger does not have, or that is not the first one;
-    None for a first look, or none."""
-    if (copy := look_by_copy(directory, view)) is not None:
-        return copy_words(view.started.run, copy)
-    return None if view.unsealing is None else later_words(view.unsealing.opened_before)
-
-
-def later_words(before: Sequence[str]) -> str | None:
-    """Give the number of a look at test records, and the looks before; None for the first one."""
-    if not before:
-        return None
-    return f"look {len(before) + 1} at these test records, after {one_line('; '.join(before), 600)}"
 
 
 def _looks_beside(directory: Path, test_digest: str, origin: str | None = None) -> Iterator[Look]:

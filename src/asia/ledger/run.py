@@ -152,7 +152,14 @@ def model_to_use(view: SearchView) -> ModelToUse | None:
     return ModelToUse(refitted.use, refitted.reason)
 
 
+def final_models(record: Unsealed) -> dict[Use, TestedModel | Failure]:
+    """The result of the sealed test for each final model."""
+    models: dict[Use, TestedModel | Failure | None] = {
+        "ensemble": record.ensemble, "refit": record.refit, "stack": record.stack
+    }  # fmt: skip
+    return {use: model for use, model in models.items() if model is not None}
+
+
 def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
     """The result of the sealed test for this model; that of the ensemble if it has none."""
-    found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
-    return record.ensemble if found is None else found
+    return final_models(record).get(use, record.ensemble)

@@ -9,8 +9,8 @@ from asia.data.segment import Segment
 from asia.data.trajectory import Array, Signal
 from asia.judge.evaluation.artifacts import ArtifactStore
 from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.outcome import Failure, Score
-from asia.ledger.events import TestedModel, Unsealed
+from asia.judge.scoring.outcome import Score
+from asia.ledger.events import Unsealed
 from asia.ledger.run import Run
 from asia.problem.folds import Fold
 
@@ -94,16 +94,6 @@ def opened_windows(run: Run, opened: Unsealed, artifact: str) -> tuple[Array, ..
     shapes = [(length, len(opened.channels)) for length in opened.lengths]
     rows = np.concatenate(run.store.get_arrays(artifact, shapes))
     return tuple(rows.reshape(-1, opened.horizon, len(opened.channels)))
-
-
-def final_models(opened: Unsealed) -> list[tuple[str, str, TestedModel | Failure]]:
-    """Key, description and test result of each final model."""
-    found = (
-        ("ensemble", "ensemble of the fold models", opened.ensemble),
-        ("refit", "refit", opened.refit),
-        ("stack", "stack of several experiments", opened.stack),
-    )
-    return [(key, text, model) for key, text, model in found if model is not None]
 
 
 def worst_fits(score: Score) -> list[float]:

@@ -8,7 +8,17 @@ from asia._text import coarse, one_line
 from asia.judge.evaluation.results import POOR
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.ledger.events import Variant
-from asia.ledger.evidence import ExperimentEvidence, ParameterSpread, SharedResidual
+from asia.ledger.evidence import (
+    ComparedScore,
+    ExperimentEvidence,
+    ParameterSpread,
+    SharedResidual,
+    compared_scores,
+    evidence_of,
+    settings_of_run,
+)
+from asia.ledger.run import Run
+from asia.ledger.view import Experiment, SearchView
 from asia.presentation.table import error_value
 
 _WIDTH = 110
@@ -29,12 +39,9 @@ def evidence_lines(
     """
     lines = list(minima_lines([one.diagnostics.train_error for one in evidence.folds], seeds))
     if evidence.differences:
-        parts = [
-            f"{d.value:+.4f} ({100 * d.share:+.1f} %) against #{d.experiment:02d}, the {d.role}"
-            for d in evidence.differences
-        ]
         noise = "not measured" if evidence.noise is None else f"{evidence.noise:.2g}"
-        lines.append(f"V: {'; '.join(parts)}; standard deviation over seeds {noise}")
+        text = _comparison(evidence.differences)
+        lines.append(f"V: {text}; standard deviation over seeds {noise}")
     lines += variant_lines(evidence.variants)
     lines += _fold_lines(evidence, measured=measured)
     lines += _output_lines(evidence)
@@ -48,6 +55,27 @@ def evidence_lines(
     if any(one.held_out_residuals for one in findings):
         lines += _residual_lines(evidence, evidence.held_out_residuals, "on the held-out samples")
     return [*lines, *_printed_lines(evidence)]
+
+
+def _comparison(differences: Sequence[ComparedScore]) -> str:
+    return "; ".join(
+        f"{d.value:+.4f} ({100 * d.share:+.1f} %) against #{d.experiment:02d}, the {d.role}"
+        for d in differences
+    )
+
+
+def comparison_facts(e: Experiment, view: SearchView) -> Iterator[tuple[str, str]]:
+    """Yield V of an experiment less V of its parent and of the best one before, with a label."""
+    if differences := compared_scores(e, view):
+        yield "V", _comparison(differences)
+
+
+def recorded_evidence(run: Run, e: Experiment) -> list[str]:
+    """Return the evidence on an experiment of a run; [] without a result or without artifacts."""
+    if e.result is None or not run.store.kept:
+        return []
+    found = evidence_of(e, run.view, run.store, settings_of_run(run.directory))
+    return evidence_lines(found, e.seed_values) if found.recorded else []
 
 
 def variant_lines(variants: Sequence[Variant]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Experiments of a search in words: result, decision, what is compared with them."""
+"""Experiments of a search: story, result, decision, what is compared with them."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -6,15 +6,73 @@ from statistics import fmean
 from typing import Any
 
 from asia._text import one_line
+from asia._timer import duration
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.judge.scoring.repeated_fits import RANKED
-from asia.ledger.events import Evaluated, Phase, StressTest, Validated
+from asia.ledger.events import Evaluated, Phase, ReferenceScored, StressTest
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.table import Block, Table, error_decimals, error_value
 from asia.problem.metrics import metric_label
+
+
+def experiment_facts(e: Experiment, view: SearchView) -> Iterator[tuple[str, str]]:
+    """Yield the story of an experiment: what was tried and why, result and decision; labels with
+    texts."""
+    p, result = e.proposed, e.result
+    parent = f", derived from #{p.parent:02d}" if p.parent else ""
+    yield "changed", f"{p.family}, {_PHASES[p.phase]}{parent}"
+    yield "hypothesis", p.hypothesis
+    yield "expected", p.expected
+    if p.remark:
+        yield "remark", p.remark
+    yield "result", describe_result(e, view)
+    if result is None:
+        return
+    reason = f": {decision_text(e, view)}" if e.score else ""
+    yield "decision", f"{result.status}{reason}"
+    if result.confirmation is not None:
+        yield "confirmation", confirmation_text(result.confirmation)
+    yield "duration", duration(result.seconds)
+    yield from (("note", line) for line in result.failed_checks)
+
+
+def experiment_line(experiment: Experiment, view: SearchView) -> str:
+    """`#07 keep  V=0.1310  min fit 87.2 % ... | best #07 0.1310`: one greppable line, with the
+    lowest fit index over folds and outputs, that ends with the lowest V at that time. With
+    validation early stopping it says how many validation scores were given.
+
+    V is that of one fit on both sides. A candidate that was fitted from several seeds has a mean as
+    well, which decides what is kept: `... | mean of 3 seeds 0.1422 | best #04 0.0890, lowest mean
+    of seeds #07 0.1422`."""
+    r, proposed = experiment.result, experiment.proposed
+    assert r is not None
+    if isinstance(r.outcome, Score):
+        fits = [f.worst_fit for f in r.outcome.folds if f.worst_fit is not None]
+        worst = min(fits, default=None)
+        fit = "   -  " if worst is None else f"{worst:5.1f} %" if worst > -999 else "<-999 %"
+        found = f"V={error_value(r.outcome.value)}  min fit {fit}"
+    else:
+        found = f"{r.outcome.reason.value:<24}"
+    mean = seed_mean_words(experiment)
+    best = next((e for e in reversed(view.bests) if e.number <= experiment.number), None)
+    tail = "best none"
+    if best and best.score:
+        tail = f"best #{best.number:02d} {error_value(best.score.value)}"
+        kept = [e for e in view.finished if e.kept and e.number <= experiment.number]
+        if kept and (mean or kept[-1].number != best.number):
+            value = error_value(fmean(kept[-1].seed_values))
+            several = "lowest mean of seeds" if len(kept[-1].seed_values) > 1 else "kept"
+            tail += f", {several} #{kept[-1].number:02d} {value}"
+    asked = "" if view.started.early_stopping == "inner" else f" | {_validation_scores(r):<21}"
+    # As wide as `inconclusive` with its figures.
+    outcome = f"{r.status:<7} {found}"
+    return (
+        f"#{experiment.number:02d} {outcome:<38}  {duration(r.seconds):>6}  "
+        f"{proposed.title:<44}{asked}{f' | {mean}' if mean else ''} | {tail}"
+    )
 
 
 def confirmation_text(found: Confirmation) -> str:
@@ -50,11 +108,6 @@ def error_line(error: str, most: int = 300) -> str:
     return one_line(f"{where}{lines[-1]}", most)
 
 
-def phase_text(phase: Phase) -> str:
-    """Describe the part of the budget in which an experiment lies."""
-    return _PHASES[phase]
-
-
 def stress_text(test: StressTest) -> str:
     """Describe what a model did on training inputs in other combinations, in a sentence."""
     start = f"On training inputs in other combinations the {test.model}"
@@ -66,16 +119,7 @@ def stress_text(test: StressTest) -> str:
     )
 
 
-def validation_summary(event: Validated) -> str:
-    """`pass 7, doubt 2, fail 1: the residual of level drifts with time`."""
-    counts = f"pass {event.passed}, doubt {event.doubtful}, fail {event.failed}"
-    where = f" on {event.record}" if event.record else ""
-    worst = next((c.sentence for c in event.checks if c.name == event.worst), "")
-    return f"{counts}{where}: {worst}" if worst else f"{counts}{where}"
-
-
-def validation_score_words(result: Evaluated) -> str:
-    """Describe the number of requests of an experiment for its score on the held-out parts."""
+def _validation_scores(result: Evaluated) -> str:
     count = result.validation_scores
     return f"{count} validation score{'' if count == 1 else 's'}"
 
@@ -132,7 +176,7 @@ def describe_result(e: Experiment, view: SearchView) -> str:
     if e.score:
         folds = ", ".join(error_value(f.value) for f in e.score.folds)
         inner = view.started.early_stopping == "inner"
-        asked = "" if inner else f", {validation_score_words(result)}"
+        asked = "" if inner else f", {_validation_scores(result)}"
         text = f"{view.v_name} = {error_value(e.score.value)} (folds {folds}{asked})"
         if any(r.same for r in result.retests):
             text += "; the fit is the same for every seed"
@@ -216,13 +260,21 @@ def references_table(view: SearchView) -> Table:
     """Return V of the reference models."""
     rows: list[list[Any]] = []
     for one in view.references:
-        note = None
-        if one.structure is not None:
-            note = "order {}, delay {} samples".format(*one.structure)
-        elif one.name == "simulated truth":
-            note = "the true system: the noise floor"
-        rows.append([one.name, value_text(one.outcome), note])
+        rows.append([one.name, value_text(one.outcome), reference_note(one)])
     return Table("reference models", {"reference": "", view.v_name: "error", "note": ""}, rows)
+
+
+def reference_note(one: ReferenceScored) -> str:
+    """Describe a reference model; "" where its name says it all."""
+    if one.structure is not None:
+        return "order {}, delay {} samples".format(*one.structure)
+    return "the true system: the noise floor" if one.name == "simulated truth" else ""
+
+
+def references_text(view: SearchView) -> str:
+    """`last output held 1.5364, linear model 0.1082`: V of the reference models."""
+    each = (f"{one.name} {value_text(one.outcome)}" for one in view.references)
+    return one_line(", ".join(each), 1000)
 
 
 def value_text(outcome: Outcome) -> str:
@@ -306,23 +358,3 @@ def fold_blocks(e: Experiment, view: SearchView, metric: str) -> Iterator[Block]
         if result.status == "keep":
             text += "; V was the same when the folds were fitted again, one at a time"
     yield text
-
-
-NOT_LEAK_FREE = (
-    "validation early stopping: candidates may request their score on the held-out parts, so V "
-    "is not leak-free and only comparable with V of the same setting"
-)
-RESIDUALS_SHOWN = (
-    "held-out residuals are shown to the agent, which can fit a model to them, so V is only "
-    "comparable with V of the same setting"
-)
-
-
-def v_notes(view: SearchView, scores: int | None = None) -> Iterator[str]:
-    """Yield what V of a search is, where candidates or the agent learned of held-out data. scores:
-    validation scores that were given; None for those in the view."""
-    if view.started.early_stopping == "validation":
-        count = view.validation_scores if scores is None else scores
-        yield f"with {NOT_LEAK_FREE}; {count} validation scores were given"
-    if view.started.residuals == "held_out":
-        yield f"with held-out residuals: {RESIDUALS_SHOWN}"

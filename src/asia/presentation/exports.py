@@ -4,11 +4,10 @@ from itertools import zip_longest
 from pathlib import Path
 
 from asia._text import markdown_line, table_cell
-from asia.judge.scoring.outcome import Score
 from asia.ledger.chain import write_whole
 from asia.ledger.view import SearchView
-from asia.presentation.experiments import describe_result, phase_text, seed_mean_words
-from asia.presentation.table import error_value
+from asia.presentation.experiments import experiment_facts, references_text, seed_mean_words
+from asia.presentation.integrity import v_notes
 
 
 def write_exports(directory: Path, view: SearchView) -> None:
@@ -51,38 +50,14 @@ def journal(view: SearchView) -> str:
         f"seed {start.seed}, isolation {start.isolation_words}.\n"
     )
     if view.references:
-        values = [
-            f"{reference.name} {error_value(reference.outcome.value)}"
-            for reference in view.references
-            if isinstance(reference.outcome, Score)
-        ]
-        head += f"\nReference models, {view.v_name}: {', '.join(values)}.\n"
-    if start.early_stopping != "inner":
-        head += (
-            "\nValidation early stopping: candidates received their score on the held-out parts, "
-            f"{view.validation_scores} times so far. V is not leak-free and only comparable with V "
-            "of the same setting.\n"
-        )
-    if start.residuals != "train":
-        head += (
-            "\nHeld-out residuals are shown: the agent sees the errors on the held-out samples. V "
-            "is only comparable with V of the same setting.\n"
-        )
+        head += f"\nReference models, {view.v_name}: {markdown_line(references_text(view))}.\n"
+    head += "".join(f"\nV is {words}.\n" for words in v_notes(view))
     parts = [head]
     finished = view.finished
     for e, later in zip_longest(finished, finished[1:]):
-        p, r = e.proposed, e.result
-        assert r is not None
-        origin = f" (from experiment {p.parent})" if p.parent else ""
-        following = markdown_line(later.proposed.title) if later else "none yet"
-        remark = f"- **Remark:** {markdown_line(p.remark)}\n" if p.remark else ""
-        parts.append(
-            f"## Experiment {e.number}: {markdown_line(p.title)}\n\n"
-            f"- **Changed:** {markdown_line(p.family)}, {phase_text(p.phase)}{origin}\n"
-            f"- **Hypothesis:** {markdown_line(p.hypothesis)}\n"
-            f"- **Expected:** {markdown_line(p.expected)}\n"
-            f"- **Result:** {markdown_line(describe_result(e, view))}\n"
-            f"- **Decision:** {r.status}\n"
-            f"- **Next:** {following}\n{remark}"
-        )
+        following = later.proposed.title if later else "none yet"
+        facts = [*experiment_facts(e, view), ("next", following)]
+        lines = (f"- **{label.capitalize()}:** {markdown_line(text)}" for label, text in facts)
+        title = f"## Experiment {e.number}: {markdown_line(e.proposed.title)}"
+        parts.append("\n".join((title, "", *lines, "")))
     return "\n".join(parts)

@@ -1,6 +1,6 @@
 """Identified parameters and equations of a model."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, fit_note
@@ -90,6 +90,14 @@ def _fold_text(one: IdentifiedParameter) -> str:
     return "" if one.fold_error is None else f"{one.fold_error:.2g}"
 
 
+def disagreement_text(apart: Sequence[str]) -> str:
+    """Say what it means that the fold models disagree on some parameters."""
+    return (
+        f"significantly different between the folds: {listed(apart)}; the system drifts, or an "
+        "effect is missing"
+    )
+
+
 def interval_lines(found: IdentifiedModel) -> Iterator[str]:
     """Why there is no interval, or why one is wider than noise makes it, and a poor fit."""
     if found.parameters and (note := fit_note(found.fit)):
@@ -98,10 +106,7 @@ def interval_lines(found: IdentifiedModel) -> Iterator[str]:
         yield f"no standard errors and intervals: {one_line(found.reason, 400)}"
     apart = found.disagreeing
     if apart:
-        yield (
-            f"significantly different between the folds: {listed(apart)}; the system drifts, or an "
-            "effect is missing"
-        )
+        yield disagreement_text(apart)
     if any(one.fitted.misfit_error > 0 for one in found.parameters):
         wider = any(one.decided_by == "missing effect" for one in found.parameters)
         yield "the training residuals follow the sensitivities: an effect is missing, " + (

@@ -1,4 +1,4 @@
-"""Tables of a finished search: repeated fits, ablation, final models, sealed test."""
+"""Tables of a finished search: repeated fits, ablation, validation, final models, sealed test."""
 
 from __future__ import annotations
 
@@ -7,8 +7,18 @@ from typing import Any
 
 from asia.errors import Reason
 from asia.judge.scoring.outcome import Failure
-from asia.ledger.events import Ablated, Confirmed, Fit, RefitCheck, Refitted, Stack, Unsealed, Use
-from asia.ledger.simulated import final_models
+from asia.ledger.events import (
+    Ablated,
+    Confirmed,
+    Fit,
+    RefitCheck,
+    Refitted,
+    Stack,
+    Unsealed,
+    Use,
+    Validated,
+)
+from asia.ledger.run import final_models
 from asia.presentation.table import Block, Table, error_value
 from asia.problem.metrics import metric_label
 
@@ -151,6 +161,33 @@ def ablation_blocks(found: Ablated, v_name: str) -> Iterator[Block]:
         )  # fmt: skip
 
 
+# The validation of the model to use.
+
+
+def validation_text(found: Validated) -> str:
+    """`pass 7, doubt 2, fail 1: the residual of level drifts with time`."""
+    counts = f"pass {found.passed}, doubt {found.doubtful}, fail {found.failed}"
+    where = f" on {found.record}" if found.record else ""
+    worst = next((c.sentence for c in found.checks if c.name == found.worst), "")
+    return f"{counts}{where}: {worst}" if worst else f"{counts}{where}"
+
+
+def validation_blocks(found: Validated) -> Iterator[Block]:
+    """Yield what was checked, the result, and whether the sealed test had been opened."""
+    model = f"the {found.model} of experiment {found.experiment}"
+    if found.record:
+        what = f"{model}, on {found.record}"
+    else:
+        what = (
+            f"fold models of experiment {found.experiment} on the held-out parts of the training "
+            f"records, small steps and long runs of the {found.model}"
+        )
+    yield f"checked: {what}; the sealed test was not used"
+    yield validation_text(found)
+    if found.after_unsealing:
+        yield AFTER_UNSEALING
+
+
 # The final models of a search.
 
 
@@ -228,7 +265,7 @@ def sealed_test_blocks(opened: Unsealed, use: Use | None, *, total: bool = True)
     final = final_models(opened)
     models = {
         f"{key} (to use)" if key == use else key: model
-        for key, _, model in final
+        for key, model in final.items()
         if not isinstance(model, Failure)
     }
     several = len(opened.trajectories) > 1
@@ -250,11 +287,11 @@ def sealed_test_blocks(opened: Unsealed, use: Use | None, *, total: bool = True)
                 for i, name in enumerate(opened.trajectories)
             ]
             yield Table(f"{label} on each test record", {"record": "", **figures}, rows)
-    for _, text, model in final:
+    for key, model in final.items():
         if isinstance(model, Failure):
             # What breaks the contract says more itself.
             own = model.detail if model.reason is Reason.CONTRACT else ""
-            yield f"no score for the {text}: {own or model.advice}"
+            yield f"no score for the {key}: {own or model.advice}"
     for name, model in models.items():
         if model.mee is not None:
             groups = model.mee.by_group()

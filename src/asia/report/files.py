@@ -20,6 +20,7 @@ from asia.ledger.events import TestedModel
 from asia.ledger.evidence import get_curves
 from asia.ledger.run import Run, metric_of, open_run
 from asia.ledger.simulated import SimulatedCases
+from asia.presentation.results import validation_text
 from asia.problem.check import input_delays, responses
 from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
@@ -180,9 +181,8 @@ def _validations(run: Run) -> Iterator[Picture]:
             )
             for drawn in get_curves(run.store, found.curves)
         ]
-        counts = f"pass {found.passed}, doubt {found.doubtful}, fail {found.failed}"
         name = "validation" if place == 0 else f"validation-{place + 1}"
-        yield name, partial(draw_validation, checks, counts)
+        yield name, partial(draw_validation, checks, validation_text(found))
 
 
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:

@@ -11,7 +11,8 @@ from asia.ledger.events import TestedModel
 from asia.ledger.evidence import IdentifiedModel, identified
 from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
 from asia.ledger.view import SearchView
-from asia.presentation.experiments import experiments_table
+from asia.presentation.experiments import experiments_table, references_text
+from asia.presentation.integrity import isolation_text, sealed_test_text, usage_text, v_notes
 from asia.presentation.parameters import parameter_remarks, parameter_table
 from asia.presentation.results import sealed_test_blocks, use_text
 from asia.presentation.table import Block, Table, error_value
@@ -36,7 +37,7 @@ def methods_paragraph(directory: Path) -> str:
         *_search(view, metric_of(directory)),
         *_isolation(view),
         *_best(view),
-        *_sealed_test(view),
+        *_sealed_test(directory, view),
         f"The ledger of the search holds {len(run.lines)} events, each with the hash of the one "
         f"before; the problem, as it was, has the SHA-256 {start.lock_digest[:16]}.",
     ]
@@ -54,33 +55,19 @@ def _search(view: SearchView, metric: str) -> Iterator[str]:
         + f" of open-loop simulation: V is the {metric_label(metric)} on the held-out part over "
         "the standard deviation of the output in the training part, mean over outputs and folds."
     )
-    references = [
-        f"{_quoted(r.name)} {error_value(r.outcome.value)}"
-        for r in view.references
-        if isinstance(r.outcome, Score)
-    ]
-    if references:
-        yield f"Trivial references have V: {', '.join(references)}."
+    if view.references:
+        yield f"Reference models have {view.v_name}: {references_text(view)}."
 
 
 def _isolation(view: SearchView) -> Iterator[str]:
-    start = view.started
-    layers = f" ({', '.join(start.layers)})" if start.layers else ""
     yield (
-        f"Candidates ran in processes of their own at isolation level {start.isolation_words}"
-        f"{layers}; errors were computed outside, from outputs that candidates never received."
+        "Candidates ran in processes of their own at isolation level "
+        f"{isolation_text(view.started)}; errors were computed outside, from outputs that "
+        "candidates never received."
     )
-    if start.early_stopping == "validation":
-        yield (
-            f"During training they received {view.validation_scores} scores on held-out "
-            "parts, so V is not leak-free."
-        )
-    if start.residuals == "held_out":
-        yield "The agent saw the residuals on the held-out parts."
+    yield from (f"V is {words}." for words in v_notes(view))
     if view.usage is not None:
-        cost = "" if view.usage.cost is None else f" for {view.usage.cost:.2f} USD"
-        tokens = f"{view.usage.tokens} tokens{cost}"
-        yield f"The language model was asked {view.usage.turns} times, {tokens}."
+        yield f"The language model gave {usage_text(view.usage)}."
     if view.notes:
         yield f"The user gave the agent {len(view.notes)} notes."
 
@@ -109,16 +96,11 @@ def _best(view: SearchView) -> Iterator[str]:
         yield f"The model handed over is {use}, chosen without test data."
 
 
-def _sealed_test(view: SearchView) -> Iterator[str]:
+def _sealed_test(directory: Path, view: SearchView) -> Iterator[str]:
     opened, named = view.unsealed, model_to_use(view)
-    if view.started.test_digest is None:
-        yield "There was no sealed test."
-        return
-    seal = f"SHA-256 {view.started.test_digest[:16]}, recorded before the first experiment"
+    yield f"Sealed test: {sealed_test_text(directory, view)}."
     if opened is None or named is None:
-        yield f"The test records ({seal}) have not been opened."
         return
-    yield f"This run opened the test records ({seal}) once, after the search had ended."
     model = tested_model(opened, named.model)
     if not isinstance(model, TestedModel):
         yield "The model fails on them."

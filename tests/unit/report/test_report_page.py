@@ -239,7 +239,7 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     for words in (f"{low:.4g}", f"{high:.4g}", ">folds<", ">missing effect<", "1.5", "2.5"):
         assert words in part
     assert "Significantly different between the folds: R;" in part
-    assert "The folds disagree on R" in page
+    assert "Parameters significantly different between the folds: R; " in page
     assert 'class="stamp shown">Not validated<' in page
 
 

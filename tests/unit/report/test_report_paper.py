@@ -89,7 +89,7 @@ def test_the_paragraph_names_what_a_reader_has_to_know(run: Path) -> None:
         "linear model 0.3450",
         "isolation level namespace",
         "V = 0.2000",
-        "This run opened the test records",
+        "Sealed test: opened by this run once, after the search; SHA-256 ",
         view.started.lock_digest[:16],
     ):
         assert part in words
@@ -102,5 +102,5 @@ def test_a_sealed_run_has_no_figure_of_the_test(tmp_path: Path) -> None:
     problem = load_problem("two_tanks_sim")
     (directory / "problem.lock.toml").write_text(lock_text(problem, Seal(None, None)), "utf-8")
     write_run(directory, problem, OUTCOMES)
-    assert "have not been opened" in methods_paragraph(directory)
+    assert "Sealed test: never opened; SHA-256 " in methods_paragraph(directory)
     assert "test.tex" not in {p.name for p in write_tables(directory, tmp_path / "tables")}

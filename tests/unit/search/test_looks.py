@@ -16,6 +16,7 @@ from asia.ledger.chain import BEGIN, Line, encode, read_lines
 from asia.ledger.events import Started
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
+from asia.presentation.integrity import seal_text
 from asia.search.run import prepare, search
 from asia.search.unsealing import unseal
 from tests.unit.interfaces.cli.conftest import command_line
@@ -167,7 +168,7 @@ def test_of_a_run_beside_the_first_line_is_read_alone(
 
     monkeypatch.setattr(looks, "read_lines", counted)
     view = open_run(finished).view
-    assert looks.seal_words(finished, view) is None
+    assert seal_text(finished, view) == ""
     assert read == []
     opened(finished)
     assert len(read) == 3

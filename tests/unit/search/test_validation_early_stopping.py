@@ -62,7 +62,7 @@ def test_it_is_recorded_counted_and_marked(problem: Path, tmp_path: Path) -> Non
     head = results_table(view).splitlines()[0].split("\t")
     assert head[:2] == ["experiment", "val (validation early stopping)"]
     text = journal(view)
-    assert "16 times so far. V is not leak-free" in text
+    assert "V is not leak-free and only comparable with V of the same setting; 16 valid" in text
     assert text.count("V (validation early stopping) = ") == 3
     assert text.count(" V = ") == 0
 

@@ -13,9 +13,9 @@ import typer
 from asia._text import printable_line, say, say_lines
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, ProblemName, Runs
-from asia.interfaces.cli.output import experiment_line
 from asia.ledger.chain import write_whole
 from asia.ledger.events import Evaluated
+from asia.presentation.experiments import experiment_line
 from asia.presentation.table import error_value
 
 if TYPE_CHECKING:

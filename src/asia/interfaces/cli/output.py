@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -13,23 +12,21 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
 from asia._text import folded, printable
-from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
+from asia._timer import Activity, Seconds, TimeSpent, add_seconds
 from asia.agents.expert_result import expert_result, expert_text
 from asia.analysis.verdict import alarms, unguarded, usability
-from asia.judge.scoring.outcome import Score
-from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
+from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted
 from asia.ledger.run import model_to_use
-from asia.ledger.view import Experiment, SearchView
-from asia.presentation.experiments import (
-    method_note,
-    seed_mean_words,
-    threshold_text,
-    v_notes,
-    validation_score_words,
-    validation_summary,
-    value_text,
+from asia.ledger.view import SearchView
+from asia.presentation.experiments import method_note, seed_mean_words, threshold_text
+from asia.presentation.integrity import guard_text, usage_text, v_notes
+from asia.presentation.results import (
+    confirmation_verdict,
+    noise_text,
+    second_fit_text,
+    stack_text,
+    validation_text,
 )
-from asia.presentation.results import confirmation_verdict, noise_text, second_fit_text, stack_text
 from asia.presentation.table import error_value
 from asia.search.steering import FoldLosses
 
@@ -75,42 +72,6 @@ def plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def experiment_line(experiment: Experiment, view: SearchView) -> str:
-    """`#07 keep  V=0.1310  min fit 87.2 % ... | best #07 0.1310`: one greppable line, with the
-    lowest fit index over folds and outputs, that ends with the lowest V at that time. With
-    validation early stopping it says how many validation scores were given.
-
-    V is that of one fit on both sides. A candidate that was fitted from several seeds has a mean as
-    well, which decides what is kept: `... | mean of 3 seeds 0.1422 | best #04 0.0890, lowest mean
-    of seeds #07 0.1422`."""
-    r, proposed = experiment.result, experiment.proposed
-    assert r is not None
-    if isinstance(r.outcome, Score):
-        fits = [f.worst_fit for f in r.outcome.folds if f.worst_fit is not None]
-        worst = min(fits, default=None)
-        fit = "   -  " if worst is None else f"{worst:5.1f} %" if worst > -999 else "<-999 %"
-        found = f"V={error_value(r.outcome.value)}  min fit {fit}"
-    else:
-        found = f"{r.outcome.reason.value:<24}"
-    mean = seed_mean_words(experiment)
-    best = next((e for e in reversed(view.bests) if e.number <= experiment.number), None)
-    tail = "best none"
-    if best and best.score:
-        tail = f"best #{best.number:02d} {error_value(best.score.value)}"
-        kept = [e for e in view.finished if e.kept and e.number <= experiment.number]
-        if kept and (mean or kept[-1].number != best.number):
-            value = error_value(fmean(kept[-1].seed_values))
-            several = "lowest mean of seeds" if len(kept[-1].seed_values) > 1 else "kept"
-            tail += f", {several} #{kept[-1].number:02d} {value}"
-    asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
-    # As wide as `inconclusive` with its figures.
-    outcome = f"{r.status:<7} {found}"
-    return (
-        f"#{experiment.number:02d} {outcome:<38}  {duration(r.seconds):>6}  "
-        f"{proposed.title:<44}{asked}{f' | {mean}' if mean else ''} | {tail}"
-    )
-
-
 def running_words(view: SearchView, losses: Mapping[int, FoldLosses] | None = None) -> list[str]:
     """Return `#05 refine: linear, one state more` for each experiment in flight, and whether its
     fit has ended, else the last loss of each fold."""
@@ -132,26 +93,9 @@ def print_alarms(view: SearchView) -> None:
     whether V stands alone."""
     console = Terminal(soft_wrap=True)
     for words in alarms(view):
-        console.print(f"ALARM   {words}", style="bold red")
+        console.print(fact_line("ALARM", words), style="bold red")
     if words := unguarded(view):
-        console.print(f"NOTE    {words}", style="bold yellow")
-
-
-def guard_words(view: SearchView) -> str:
-    """Return the last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, ...`, and how
-    often the agent learned an answer of it; "" without guard records."""
-    if view.started.guard_digest is None:
-        return ""
-    asked = f"asked for {view.guard_bits} new bests, at most {view.guard_bits} bits for the agent"
-    if not view.looks:
-        return f"not looked at yet; {asked}"
-    look, best = view.looks[-1], view.best
-    scores = ", ".join(f"#{s.experiment:02d} {value_text(s.outcome)}" for s in look.scores)
-    pick = "none" if look.pick is None else f"#{look.pick:02d}"
-    handed = ""
-    if best is not None and best.number != look.pick:
-        handed = f", the best candidate is #{best.number:02d}"
-    return f"{scores}; it picks {pick}{handed} (look {look.look}; {asked})"
+        console.print(fact_line("NOTE", words), style="bold yellow")
 
 
 def verdict_object(view: SearchView) -> dict[str, Any] | None:
@@ -198,7 +142,7 @@ def search_facts(
         detail = f" ({view.stopped.detail})" if view.stopped.detail else ""
         yield "stopped", f"{words}{detail if view.stopped.detail not in words else ''}"
     if view.usage is not None:
-        yield "agent", usage_words(view.usage)
+        yield "agent", usage_text(view.usage)
     best = view.best
     if best is not None and best.score is not None:
         folds = ", ".join(error_value(f.value) for f in best.score.folds)
@@ -215,14 +159,14 @@ def search_facts(
         ("method", method_note(view)),
         ("threshold", threshold_text(view)),
         ("second fit", second_fit_text(again) if again and again.value != 1.0 else ""),
-        ("guard", guard_words(view)),
+        ("guard", guard_text(view)),
     ):
         if words:
             yield label, words
     if (found := view.confirmed) is not None:
         noise = f"variance over seeds: {noise_text(found)}"
         yield "confirm", f"{confirmation_verdict(found)}; {noise}"
-    yield from (("checks", validation_summary(one)) for one in view.validated)
+    yield from (("checks", validation_text(one)) for one in view.validated)
     yield from (("note", line) for line in view.failed_checks)
     compared = expert_result(directory, view.started, finished)
     if compared is not None:
@@ -245,15 +189,6 @@ def stop_words(reason: str, view: SearchView) -> str:
         "time": "the agent's time is spent; the same command with more continues",
         "agent": "the agent ended; the same command starts it again",
     }[reason]
-
-
-def usage_words(usage: Usage) -> str:
-    """`12 replies, 40310 tokens in (1200 cached), 8120 out, 0.0231 USD`."""
-    cost = "cost unknown" if usage.cost is None else f"{usage.cost:.4f} USD"
-    return (
-        f"{usage.turns} replies, {usage.input_tokens} tokens in ({usage.cached_tokens} cached), "
-        f"{usage.output_tokens} out, {cost}"
-    )
 
 
 def time_by_activity(

@@ -10,8 +10,8 @@ from asia._text import say
 from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
 from asia.interfaces.cli.output import fact_line, verdict_facts
 from asia.ledger.artifacts import Store
-from asia.ledger.looks import seal_words
 from asia.ledger.run import open_run
+from asia.presentation.integrity import seal_text
 
 
 def report(
@@ -49,7 +49,7 @@ def report(
     for line in failed:
         say(f"note    {line}", file=sys.stderr)
     view = open_run(directory).view
-    if words := seal_words(directory, view):
+    if words := seal_text(directory, view):
         say(words, file=sys.stderr)
     for label, text in verdict_facts(view):
         say(fact_line(label, text), file=sys.stderr)

@@ -19,7 +19,6 @@ from asia._diagnostic import diagnostic
 from asia._progress import now_doing
 from asia._text import printable_line, say
 from asia._timer import Activity, ActivityTimer, TimeSpent, duration
-from asia.analysis.verdict import alarms, unguarded
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
@@ -40,8 +39,8 @@ from asia.interfaces.cli.options import (
 )
 from asia.interfaces.cli.output import (
     Terminal,
-    experiment_line,
     fact_line,
+    print_alarms,
     profile_lines,
     profile_object,
     running_words,
@@ -62,10 +61,13 @@ from asia.ledger.evidence import identified, incumbent_threshold
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
 from asia.presentation.experiments import (
-    NOT_LEAK_FREE,
-    RESIDUALS_SHOWN,
+    error_line,
+    experiment_line,
+    reference_note,
+    references_text,
     value_text,
 )
+from asia.presentation.integrity import v_notes
 from asia.presentation.parameters import identified_blocks
 from asia.presentation.table import block_lines
 from asia.problem.metrics import find_metric
@@ -401,10 +403,8 @@ class TextDisplay:
             f"agent {start.agent}  seed {start.seed}  {at_once}{folds} folds  "
             f"{view.v_name} = {judged}  test {sealed}"
         )
-        if start.early_stopping == "validation":
-            self._print(f"note    {NOT_LEAK_FREE}")
-        if start.residuals == "held_out":
-            self._print(f"note    {RESIDUALS_SHOWN}")
+        for words in v_notes(view):
+            self._print(f"note    V is {words}")
         if problem.guard_names:
             names = ", ".join(problem.guard_names)
             self._print(f"guard   {names}, shown to no candidate and no agent")
@@ -450,14 +450,10 @@ class TextDisplay:
         self.close()
         directory, best = self.prepared.directory, view.best
         self._print("")
-        for words in alarms(view):
-            self._print(f"ALARM    {words}", style="bold red")
-        if words := unguarded(view):
-            self._print(f"NOTE     {words}", style="bold yellow")
+        print_alarms(view)
         for label, text in search_facts(view, directory, len(view.finished)):
             self._print(fact_line(label, text), style="bold" if label == "best" else "")
-        references = " · ".join(f"{r.name} {value_text(r.outcome)}" for r in view.references)
-        self._print(f"references V: {references}")
+        self._print(f"references V: {references_text(view)}")
         # More than a dozen parameters are left to `asia show`.
         model = identified(open_run(directory))
         if model is not None and 0 < len(model.parameters) <= 12:
@@ -503,7 +499,7 @@ class TextDisplay:
         style = _STYLES.get(experiment.result.status, "magenta")
         self._print(experiment_line(experiment, view), style=style)
         if experiment.failure is not None:
-            self._print(f"    {_last_line(experiment.failure)}", style="dim")
+            self._print(f"    {_failure(experiment.failure)}", style="dim")
         mean = view.reference_value("training mean")
         worse = mean is not None and experiment.score and experiment.score.value > mean
         if worse and experiment.kept:
@@ -513,15 +509,10 @@ class TextDisplay:
             self._print(f"    {line}", style="yellow")
 
     def _print_reference(self, reference: ReferenceScored) -> None:
-        from asia.judge.evaluation.references import TRUTH
-
-        note = "   the true system: the noise floor" if reference.name == TRUTH else ""
-        if reference.structure is not None:
-            note = "   order {}, delay {} samples".format(*reference.structure)
-        value = value_text(reference.outcome)
-        self._print(f"reference {reference.name:<18} V={value}{note}", style="cyan")
+        text = f"V={value_text(reference.outcome)}   {reference_note(reference)}"
+        self._print(f"reference {reference.name:<18} {text.rstrip()}", style="cyan")
         if isinstance(reference.outcome, Failure):
-            self._print(f"        {_last_line(reference.outcome)}", style="dim")
+            self._print(f"        {_failure(reference.outcome)}", style="dim")
 
     def _update_footer(self, view: SearchView) -> None:
         doing = "scoring the reference models"
@@ -545,7 +536,6 @@ class TextDisplay:
             sys.stdout.flush()
 
 
-def _last_line(failure: Failure) -> str:
-    """Return the last line of the detail of a failure, or its advice."""
-    lines = failure.detail.strip().splitlines()
-    return lines[-1].strip()[:160] if lines else failure.advice
+def _failure(failure: Failure) -> str:
+    """The last line of a failure, or its advice."""
+    return error_line(failure.detail, 160) or failure.advice

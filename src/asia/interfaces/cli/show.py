@@ -12,23 +12,12 @@ from asia._text import hand_over, printable, printable_line, say
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs, run_directory
 from asia.interfaces.cli.output import Terminal, print_alarms, verdict_facts, verdict_object
-from asia.ledger.evidence import (
-    IdentifiedModel,
-    evidence_of,
-    identified,
-    identified_by_folds,
-    settings_of_run,
-)
-from asia.ledger.looks import seal_words
+from asia.ledger.evidence import IdentifiedModel, identified, identified_by_folds
 from asia.ledger.run import Run, open_run
 from asia.ledger.view import Experiment
-from asia.presentation.evidence import evidence_lines
-from asia.presentation.experiments import (
-    confirmation_text,
-    describe_result,
-    fold_blocks,
-    phase_text,
-)
+from asia.presentation.evidence import recorded_evidence
+from asia.presentation.experiments import describe_result, experiment_facts, fold_blocks
+from asia.presentation.integrity import isolation_text, seal_text
 from asia.presentation.parameters import identified_blocks, identified_object
 from asia.presentation.results import confirmation_blocks, second_fit_text
 from asia.presentation.table import block_lines
@@ -71,7 +60,7 @@ def show(
         return
     console = wide_console()
     print_alarms(view)
-    if said := seal_words(run.directory, view):
+    if said := seal_text(run.directory, view):
         say(said)
     if len(shown) > 1:
         for e in shown:
@@ -151,24 +140,16 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
             console.print(printable_line(line))
 
     view, p, r = run.view, experiment.proposed, experiment.result
-    parent = f", derived from #{p.parent:02d}" if p.parent else ""
-    title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
-    console.print(title, printable_line(f"(family {p.family}, {phase_text(p.phase)}{parent})"))
-    row("hypothesis", p.hypothesis)
-    row("expected", p.expected)
-    if p.remark:
-        row("remark", p.remark)
-    row("result", describe_result(experiment, view))
-    row("isolation", view.started.isolation_words)
+    console.print(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
+    for label, text in experiment_facts(experiment, view):
+        row(label, text)
+    row("isolation", isolation_text(view.started))
     if r is None:
         return
-    row("decision", r.status)
-    if r.confirmation is not None:
-        row("confirmation", confirmation_text(r.confirmation))
     refitted = view.refitted
     if refitted is not None and refitted.experiment != experiment.number:
         refitted = None
-    for line in (*r.failed_checks, *(refitted.failed_checks if refitted else ())):
+    for line in refitted.failed_checks if refitted else ():
         row("note", line)
     if refitted and refitted.again:
         row("second fit", second_fit_text(refitted.again))
@@ -186,8 +167,4 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     model = _identified(run, experiment)
     if model is not None:
         part("identified model", block_lines(identified_blocks(model)))
-    evidence = evidence_of(experiment, view, run.store, settings_of_run(run.directory))
-    if evidence.recorded:
-        part("evidence", evidence_lines(evidence, experiment.seed_values))
-    elif r.output:
-        part("printed while fitting (untrusted)", run.store.text(r.output).splitlines()[-20:])
+    part("evidence", recorded_evidence(run, experiment))

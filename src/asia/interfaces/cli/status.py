@@ -13,9 +13,7 @@ from asia.agents.expert_result import expert_result
 from asia.analysis.verdict import alarms, unguarded
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Profile, RunName, Runs, run_directory
 from asia.interfaces.cli.output import (
-    experiment_line,
     fact_line,
-    guard_words,
     print_alarms,
     profile_lines,
     profile_object,
@@ -25,9 +23,9 @@ from asia.interfaces.cli.output import (
 )
 from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import incumbent_threshold
-from asia.ledger.looks import seal_words
 from asia.ledger.run import error_of, metric_of, model_to_use, open_run
-from asia.presentation.experiments import references_table
+from asia.presentation.experiments import experiment_line, references_table
+from asia.presentation.integrity import guard_text, seal_text
 from asia.problem.metrics import metric_label
 from asia.search.steering import running_losses
 
@@ -84,9 +82,9 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "error": error_of(directory) if found.state == "interrupted" else None,
         "failed_checks": list(view.failed_checks),
         "alarms": list(alarms(view)),
-        "guard": guard_words(view) or None,
+        "guard": guard_text(view) or None,
         "unguarded": unguarded(view) or None,
-        "seal": seal_words(directory, view),
+        "seal": seal_text(directory, view) or None,
         "threshold": incumbent_threshold(view),
         "verdict": verdict_object(view),
         "use": named.model if named else None,
@@ -116,7 +114,7 @@ def state_words(found: Brief) -> str:
 def _print_status(directory: Path, found: Brief) -> None:
     view, start = found.view, found.view.started
     print_alarms(view)
-    if words := seal_words(directory, view):
+    if words := seal_text(directory, view):
         say(fact_line("seal", words))
     say(
         f"run {start.run}  problem {start.problem}  agent {start.agent}  "

@@ -16,10 +16,9 @@ from asia.interfaces.cli.options import Keys, RunName, RunOptions, YesProcess
 from asia.interfaces.cli.output import fact_line, print_alarms, verdict_facts
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
-from asia.ledger.looks import later_words
 from asia.ledger.run import Run, model_to_use, open_run, tested_model
 from asia.ledger.view import SearchView
-from asia.presentation.experiments import v_notes
+from asia.presentation.integrity import later_text, v_notes
 from asia.presentation.results import sealed_test_blocks
 from asia.presentation.table import block_lines
 
@@ -59,7 +58,7 @@ def unseal(
     if consent or not needs_consent(opened.view, level):
         end_idle(directory, options.level, lambda line: say(line, file=sys.stderr))
     result = open_seal(directory, process_consent=consent, keys=keys, isolation=level)
-    if words := later_words(result.opened_before):
+    if words := later_text(result.opened_before):
         say(words, file=sys.stderr)
     if not result.first_time:
         say("the test of this run is open already: this is its only result", file=sys.stderr)

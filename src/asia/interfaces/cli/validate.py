@@ -17,11 +17,14 @@ from asia.errors import UserError
 from asia.interfaces.cli.init import split_at_commas
 from asia.interfaces.cli.options import ColumnNames, Experiment, RunName, RunOptions, Time, TimeUnit
 from asia.interfaces.cli.output import fact_line, verdict_facts, verdict_object
-from asia.ledger.events import (
-    Fit,
-)
+from asia.ledger.events import Fit
 from asia.ledger.run import open_run
-from asia.presentation.results import ablation_blocks, confirmation_blocks
+from asia.presentation.results import (
+    ablation_blocks,
+    confirmation_blocks,
+    validation_blocks,
+    validation_text,
+)
 from asia.presentation.table import block_lines, error_value
 
 if TYPE_CHECKING:
@@ -116,7 +119,7 @@ def validate(
         level,
     )
     failed: list[str] = []
-    for path in write_validation(directory, found.checks, found.summary, failed):
+    for path in write_validation(directory, found.checks, validation_text(found.event), failed):
         say(str(path), file=sys.stderr)
     for line in failed:
         say(f"note    {line}", file=sys.stderr)
@@ -124,24 +127,18 @@ def validate(
         for one in found.checks:
             line = {"check": one.name, "verdict": one.verdict, "sentence": one.sentence}
             say(jsonlib.dumps({**line, "cause": one.cause}, allow_nan=False))
-        end = {name: getattr(found, name) for name in ("run", "experiment", "model", "record")}
-        end |= {"recorded": found.recorded, "summary": found.summary}
+        end: dict[str, object] = {"run": found.run, "experiment": found.event.experiment}
+        end |= {"model": found.event.model, "record": found.event.record or None}
+        end |= {"recorded": found.recorded, "summary": validation_text(found.event)}
         end["verdict"] = verdict_object(open_run(directory).view)
         say(jsonlib.dumps(end, allow_nan=False))
         return
     for one in found.checks:
         say(f"{one.verdict.upper():6}{one.name}: {one.sentence}")
-    records = found.record or "the held-out parts of the training records"
     if not found.recorded:
         say("the search is not finished: its ledger does not keep this report", file=sys.stderr)
-    what = f"{found.model} of experiment {found.experiment}, on {records}"
-    if found.record is None:
-        what = (
-            f"fold models of experiment {found.experiment} on {records}, small steps and long runs "
-            f"of the {found.model}"
-        )
-    say(f"checked: {what}; the sealed test was not used")
-    say(found.summary)
+    for line in block_lines(validation_blocks(found.event)):
+        say(line)
     for label, text in verdict_facts(open_run(directory).view):
         say(fact_line(label, text))
 

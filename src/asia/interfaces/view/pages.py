@@ -26,9 +26,8 @@ from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.interfaces.view.render import experiments_of, fill, run_address
 from asia.ledger.events import Evaluated, Proposed
-from asia.ledger.evidence import evidence_of, settings_of_run
 from asia.ledger.view import Experiment
-from asia.presentation.evidence import evidence_lines
+from asia.presentation.evidence import recorded_evidence
 from asia.presentation.experiments import decision_text, describe_result
 from asia.presentation.table import error_value
 from asia.recipe import Recipe, read_recipe
@@ -74,6 +73,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Markup:
         for other, text, rel in (
             (e.number - 1, "‹ previous", "prev"),
             (e.number + 1, "next ›", "next"),
+            (e.proposed.parent or 0, "parent", "up"),
         )
         if 1 <= other <= len(subject.view.experiments)
     ]
@@ -90,14 +90,6 @@ def experiment_part(snapshot: Snapshot, number: int) -> Markup:
             for k, one in enumerate(panels)
         ]
 
-    # As `asia show` prints it.
-    lines: list[str] = []
-    if e.result is not None and store.kept:
-        settings = settings_of_run(run.directory)
-        found = evidence_of(e, subject.view, store, settings)
-        lines = evidence_lines(found, e.seed_values) if found.recorded else []
-        if not lines and e.result.output:
-            lines = store.text(e.result.output).splitlines()[-20:]
     return fill(
         "experiment.html",
         subject=subject,
@@ -109,7 +101,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Markup:
         story=experiment_story(subject, e, link),
         boxes=boxes,
         notes=notes,
-        lines=lines,
+        lines=recorded_evidence(run, e),
         source=store.text(e.source) if store.kept else None,
     )
 

@@ -97,4 +97,4 @@ def test_a_test_error_far_above_v_is_printed_first_and_in_red(
         done = asia(command, run)
         assert done.code == 0, done.err
         # Bold and red, before any other line.
-        assert done.out.startswith("\x1b[1;31mALARM   the test error is "), command
+        assert done.out.startswith("\x1b[1;31mALARM    the test error is "), command

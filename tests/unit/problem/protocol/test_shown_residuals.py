@@ -8,7 +8,6 @@ import asia
 from asia.errors import UserError
 from asia.interfaces.workspace.server import RunDesk
 from asia.ledger.run import open_run
-from asia.presentation.experiments import RESIDUALS_SHOWN
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text, protocol_digest
 from asia.problem.problem import Seal
@@ -37,7 +36,7 @@ def test_the_setting_is_recorded_and_printed_with_v(tmp_path: Path) -> None:
     head = (directory / "results.tsv").read_text().split("\n")[0].split("\t")
     assert head[:2] == ["experiment", "val (held-out residuals shown)"]
     text = (directory / "search_journal.md").read_text()
-    assert "Held-out residuals are shown" in text
+    assert "V is with held-out residuals: " in text
     assert text.count("V (held-out residuals shown) = ") == 2
     assert load_lock(directory / "problem.lock.toml").protocol.residuals == "held_out"
 
@@ -58,7 +57,7 @@ def test_the_commands_say_it(tmp_path: Path) -> None:
     words = "run", problem, "--experiments", 1, "--runs", runs, "--agent", "random"
     done = command_line(*words)
     assert done.code == 0, done.err
-    assert RESIDUALS_SHOWN in done.out
+    assert "note    V is with held-out residuals: " in done.out
     assert "V is     with held-out residuals: " in done.out
     assert "V is     with held-out residuals: " in command_line("status", "--runs", runs).out
     assert "residuals: of the held-out samples too" in command_line("check", problem).out

@@ -65,16 +65,6 @@ class Check:
     axes: tuple[str, str] = ("", "")
 
 
-def summary(checks: tuple[Check, ...]) -> str:
-    """`pass 7, doubt 2, fail 1: ...`, with the sentence of the check that matters most."""
-    counts = ", ".join(
-        f"{verdict} {sum(c.verdict is verdict for c in checks)}"
-        for verdict in (Verdict.PASS, Verdict.DOUBT, Verdict.FAIL)
-    )
-    worst = most_serious(checks)
-    return counts if worst is None else f"{counts}: {worst.sentence}"
-
-
 def most_serious(checks: tuple[Check, ...]) -> Check | None:
     """The check to look at first; None where all pass."""
     raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]

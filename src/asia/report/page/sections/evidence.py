@@ -17,10 +17,10 @@ from asia._files import read_file
 from asia.judge.scoring.checks.check import Verdict
 from asia.ledger.evidence import DrawnCheck, get_curves, identified
 from asia.presentation.parameters import identified_blocks
-from asia.presentation.results import ablation_blocks, confirmation_blocks
+from asia.presentation.results import ablation_blocks, confirmation_blocks, validation_blocks
 from asia.presentation.table import Block
 from asia.report.drawing.inline import PANEL
-from asia.report.page.render import picture
+from asia.report.page.render import picture, show
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.analysis import draw_poles
 from asia.report.pictures.evidence import draw_check
@@ -69,7 +69,7 @@ def _validation(subject: Subject) -> dict[str, Any] | None:
         {
             "found": one,
             "checks": [(check, _KINDS.get(check.verdict, "shown")) for check in one.checks],
-            "worst": next((c.sentence for c in one.checks if c.name == one.worst), None),
+            "blocks": show(validation_blocks(one)),
             "drawn": _check_pictures(get_curves(store, one.curves)) if store.kept else [],
         }
         for one in found

@@ -16,13 +16,12 @@ from asia.agents.expert_result import expert_result
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Noted
 from asia.ledger.view import Experiment
+from asia.presentation.evidence import comparison_facts
 from asia.presentation.experiments import (
-    error_line,
+    experiment_facts,
     experiments_table,
-    phase_text,
     references_table,
 )
-from asia.presentation.table import FORMATS
 from asia.problem.problem import is_described
 from asia.report.drawing.inline import WIDE, svg_of
 from asia.report.page.code import change
@@ -68,11 +67,9 @@ def experiment_story(subject: Subject, e: Experiment, link: str) -> Markup:
         subject=subject,
         e=e,
         link=link,
-        phase=phase_text(e.proposed.phase),
-        gaps=list(_gaps(subject, e)),
+        facts=[*experiment_facts(e, subject.view), *comparison_facts(e, subject.view)],
         tags=subject.view.tags(e.number),
         notes=list(noted(subject, e.number)),
-        error=error_line(e.failure.detail) if e.failure is not None else None,
         change=_change(subject, e),
     )
 
@@ -92,25 +89,6 @@ def _notes(subject: Subject) -> dict[str, Any] | None:
 
 
 NOTES = Section("notes", "Notes and tags", _notes)
-
-
-def _gaps(subject: Subject, e: Experiment) -> Iterator[str]:
-    """Yield V compared with that of the previous best and of the parent."""
-    if e.score is None:
-        return
-    kept = [o for o in subject.view.bests if o.number < e.number]
-    others = [("the previous best", kept[-1])] if kept else []
-    parent = e.proposed.parent
-    if parent is not None and parent != e.number and (not kept or parent != kept[-1].number):
-        others.append(("its parent", subject.view.experiment(parent)))
-    for text, other in others:
-        if other.score is not None and other.score.value:
-            gap = _relative(e.score.value, other.score.value)
-            yield f"{gap} compared with {text}, #{other.number:02d}"
-
-
-def _relative(value: float, other: float) -> str:
-    return FORMATS["signed_share"]((value - other) / other)
 
 
 def _change(subject: Subject, e: Experiment) -> Markup | None:

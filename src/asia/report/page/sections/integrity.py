@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from shlex import quote
 from typing import Any
 
 from asia._text import one_line
-from asia.judge.scoring.outcome import Score
-from asia.ledger.events import GuardLooked
-from asia.ledger.looks import seal_words
-from asia.presentation.table import FORMATS
+from asia._timer import duration
+from asia.presentation.integrity import guard_table, integrity_facts
+from asia.report.page.render import show
 from asia.report.page.subject import Section, Subject
 
 # The integrity of the search and its cost.
@@ -17,52 +17,14 @@ from asia.report.page.subject import Section, Subject
 
 def _content(subject: Subject) -> dict[str, Any]:
     view, evaluations = subject.view, subject.evaluations
-    oracle = "none: candidates hold out parts of their own training data"
-    if view.started.early_stopping != "inner":
-        count = sum(one.validation_scores for one in evaluations)
-        oracle = f"{count}: V is not leak-free"
-    guard = "none"
-    if view.started.guard_digest is not None:
-        looks = sum(isinstance(line.event, GuardLooked) for line in subject.run.lines)
-        asked = sum(one.confirmation is not None for one in evaluations)
-        guard = f"{looks} looks; asked for {asked} new bests, one bit each at most"
-    outcomes = [
-        f"{sum(one.status == status for one in evaluations)} {status}"
-        for status in sorted({e.result.status for e in view.finished if e.result})
+    counts = Counter(one.status for one in evaluations)
+    outcomes = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+    facts = [
+        *integrity_facts(subject.run.directory, view),
+        ("evaluations", f"{len(evaluations)} in {duration(subject.seconds)}"),
+        ("outcomes", outcomes or "none yet"),
     ]
-    seal = None
-    if view.started.test_digest is not None:
-        seal = seal_words(subject.run.directory, view)
-        if seal is None and view.unsealing is None:
-            seal = "never opened"
-    looks = [
-        [
-            [FORMATS["number"](one.experiment),
-             FORMATS["error"](one.outcome.value) if isinstance(one.outcome, Score) else "no score"]
-            for one in look.scores
-        ]
-        for look in view.looks
-    ]  # fmt: skip
-    return {
-        "oracle": oracle,
-        "guard": guard,
-        "outcomes": ", ".join(outcomes) or "none yet",
-        "seal": seal,
-        "cost": _cost(subject),
-        "looks": looks,
-    }
-
-
-def _cost(subject: Subject) -> str:
-    view = subject.view
-    if view.usage is None:
-        return "none used"
-    used = [one.usage for one in (*view.exchanges, *view.sessions) if one.usage is not None]
-    tokens = sum(one.input_tokens + one.output_tokens for one in used) if used else "no"
-    if view.usage.cost is None:
-        return f"{tokens} tokens, cost unknown"
-    costs = [one.cost for one in used if one.cost is not None]
-    return f"{tokens} tokens, {FORMATS['dollars'](sum(costs))}"
+    return {"facts": facts, "blocks": show([guard_table(view)] if view.looks else [])}
 
 
 SECTION = Section("integrity", "Integrity and cost", _content)

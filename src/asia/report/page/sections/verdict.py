@@ -12,14 +12,13 @@ from asia._text import one_line
 from asia._timer import duration
 from asia.analysis.verdict import alarms, unguarded, usability
 from asia.judge.evaluation.references import CONTROLLERS
-from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import TestedModel, Unsealed, Use
 from asia.ledger.evidence import identified
-from asia.ledger.run import model_to_use, tested_model
-from asia.ledger.simulated import final_models
+from asia.ledger.run import final_models, model_to_use, tested_model
 from asia.ledger.view import Experiment, SearchView
-from asia.presentation.experiments import fold_blocks
+from asia.presentation.experiments import fold_blocks, method_note
+from asia.presentation.parameters import disagreement_text
 from asia.presentation.results import (
     final_models_table,
     sealed_test_blocks,
@@ -47,25 +46,6 @@ from asia.report.published import Board, read_board
 
 # Ratio of V to that of a reference model above which the model is hardly better.
 _BETTER = 0.95
-
-
-def _false_scores(view: SearchView) -> Iterator[str]:
-    """Yield the alarms of the search, and whether V stands alone, without figures."""
-    best = view.best
-    if best is None or best.score is None:
-        return
-    found = alarms(view)
-    below = view.below_truth(best.score.value)
-    total = view.looks[-1].total if view.looks else None
-    contradicted = total is not None and total.contradicted
-    if len(found) > below + contradicted:
-        yield "The test error is far above V, so V is no measure of this model."
-    if contradicted:
-        yield "The guard records contradict V, so V is no measure of this model."
-    if words := unguarded(view):
-        yield words
-    if below:
-        yield "V is below that of the simulated truth, so the candidate contains held-out data."
 
 
 _COLOURS = {
@@ -98,7 +78,8 @@ def _content(subject: Subject) -> dict[str, Any] | None:
         "stamp": text,
         "kind": kind,
         "use": use,
-        "false_scores": list(_false_scores(view)),
+        "alarms": [*alarms(view), *filter(None, [unguarded(view)])],
+        "method": method_note(view),
         "compared": _compared(subject, best.score.value),
         "sealed": sealed_sentence(view) if tested is None else None,
         "tested": None if tested is None else tested_figure(tested, named.model),
@@ -155,16 +136,14 @@ def _trust(subject: Subject, kind: str) -> str:
     judged, view = usability(subject.view), subject.view
     found, parameters = identified(subject.run), ""
     if found is not None and found.disagreeing:
-        parameters = (
-            f" The folds disagree on {listed(found.disagreeing)}: the system drifts, or an effect "
-            "is missing."
-        )
+        parameters = f" Parameters {disagreement_text(found.disagreeing)}."
     if judged is not None and kind in ("none", "doubt"):
         start = "Do not use this model" if kind == "none" else "Use it with care"
         return f"{start}. {one_line(' '.join(judged.reasons), 2000)}{parameters}"
     text = f"No candidate saw its validation data.{parameters}"
     if view.refitted and view.refitted.again:
-        text += " Refitting the best candidate gave the same result."
+        again = second_fit_text(view.refitted.again)
+        text += f" {again[:1].upper()}{again[1:]}."
     if subject.is_control:
         return text.replace("validation data", "held-out scenarios")
     if kind == "good":
@@ -227,7 +206,7 @@ def _tested(subject: Subject) -> dict[str, Any] | None:
     opened = subject.view.unsealed
     if opened is None:
         return None
-    models = [m for m in final_models(opened) if isinstance(m[2], TestedModel)]
+    models = {k: m for k, m in final_models(opened).items() if isinstance(m, TestedModel)}
     named = model_to_use(subject.view)
     use = named.model if named else None
     boards: list[Any] = []
@@ -238,11 +217,11 @@ def _tested(subject: Subject) -> dict[str, Any] | None:
         total = board.unit_is_outputs
         boards = [_board(board, k) for k in range(len(board.standings) if board.entries else 0)]
     if subject.problem is not None and models:
-        _, text, model = next((m for m in models if m[0] == use), models[0])
-        assert isinstance(model, TestedModel)
+        name = use if use in models else next(iter(models))
         title = f"Sealed test: experiment {opened.experiment}"
-        alt = f"Measured outputs of the test and the simulation of the {text}"
-        draw = partial(draw_tested, subject.run, subject.problem, opened, {text: model}, title)
+        alt = f"Measured outputs of the test and the simulation of the {name}"
+        shown = {str(name): models[name]}
+        draw = partial(draw_tested, subject.run, subject.problem, opened, shown, title)
         drawn = picture(draw, alt)
     blocks = show(sealed_test_blocks(opened, use, total=total))
     return {"blocks": blocks, "boards": boards, "drawn": drawn}

@@ -4,12 +4,13 @@ from dataclasses import replace
 import pytest
 
 from asia._timer import duration
-from asia.interfaces.cli.output import Terminal, experiment_line
+from asia.interfaces.cli.output import Terminal
 from asia.interfaces.cli.show import describe
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Fit, Status
 from asia.ledger.run import open_run
 from asia.ledger.view import Experiment
+from asia.presentation.experiments import experiment_line
 from asia.presentation.table import error_value
 from tests.unit.interfaces.cli.conftest import Searched
 
