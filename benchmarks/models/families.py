@@ -104,9 +104,10 @@ SYSTEMS: dict[str, System] = {
 }
 
 
-def _blocks(structure: Any, order: int, starts: int = 1) -> Row:
-    config = block_oriented.Config(structure, order=order)
-    return Row(block_oriented, config, LevenbergMarquardt(60, starts=starts), structure)
+def _static(place: Any, system: str) -> Row:
+    return Row(
+        neural_ss, neural_ss.Config(order=2, nonlinearity=place), LevenbergMarquardt(60), system
+    )
 
 
 ROWS: tuple[Row, ...] = (
@@ -115,10 +116,13 @@ ROWS: tuple[Row, ...] = (
     Row(linear, linear.Config(), LevenbergMarquardt(30), "linear"),
     Row(narx, narx.Config(), LeastSquares(), "bilinear"),
     Row(narx, narx.Config(), LevenbergMarquardt(30), "bilinear, output noise"),
-    _blocks("hammerstein", 2),
-    _blocks("wiener", 2),
-    _blocks("hammerstein_wiener", 2),
-    _blocks("wiener_hammerstein", 3, starts=4),
+    _static("input", "hammerstein"),
+    _static("output", "wiener"),
+    _static("both", "hammerstein_wiener"),
+    Row(
+        block_oriented, block_oriented.Config(order=3), LevenbergMarquardt(60, starts=4),
+        "wiener_hammerstein",
+    ),
     Row(
         neural_ss, neural_ss.Config(order=2), LevenbergMarquardt(60, starts=2),
         "nonlinear state-space",

@@ -78,7 +78,7 @@ ROWS = {
         physics=equations(False),
     ),
     "neural_ss": Row(
-        neural_ss, neural_ss.Config(order=2, hidden=6, encoder=10), LevenbergMarquardt(50)
+        neural_ss, neural_ss.Config(order=2, hidden=6), LevenbergMarquardt(50)
     ),
 }  # fmt: skip
 

@@ -26,7 +26,7 @@ FAMILIES: dict[str, tuple[Any, Any]] = {
     "nl_lfr": (nl_lfr, nl_lfr.Config()),
     "block_oriented": (
         block_oriented,
-        block_oriented.Config(structure="wiener_hammerstein", delay=None),
+        block_oriented.Config(delay=None),
     ),
 }
 SYSTEMS = "duffing,bilinear,wiener_hammerstein,mimo,friction,tanks"

@@ -12,7 +12,7 @@ from asia.data.trajectory import Trajectory
 from asia.models import ltc
 from asia.models.methods import Adam
 
-CONFIG = ltc.Config(hidden=64, width=64, tau_min=1.0, tau_max=25.0, start="uniform", bounded=False)
+CONFIG = ltc.Config(hidden=64, tau_max=25.0, start="uniform", bounded=False)
 METHOD = Adam(
     steps=3000,
     learning_rate=1e-3,

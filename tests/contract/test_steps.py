@@ -21,7 +21,7 @@ from tests.unit.export.models import MODELS, NU, NY, PAST, SCALING
 from .test_simulation import cart, cart_context, requests, trained
 
 DOUBLE, SINGLE = 1e-9, 1e-5
-QUICK = ("linear with delay", "linear with levels", "neural_ss, median of 2",
+QUICK = ("linear with delay", "linear with levels", "neural_ss",
          "neural_ss with transport", "narx", "gp_narx", "esn with horizon", "gru")  # fmt: skip
 
 

@@ -42,8 +42,6 @@ class LevenbergMarquardt:
     (Ornstein-Uhlenbeck) plus white noise. The sizes of both are estimated from the residuals of the
     fit by least squares, and generalised least squares goes on from there, in turn until they
     settle. Changes how a model is trained, not how it simulates."""
-    slow_time: float | None = None
-    """Time constant of the slow disturbance in s; None estimates it."""
     huber: float | None = None
     """Threshold, in deviations of the innovations, beyond which their cost grows in proportion to
     them; None is least squares."""

@@ -17,6 +17,7 @@ from asia.errors import UserError
 from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._numerics.lags import (
+    MOST_DELAY,
     History,
     Lags,
     OutputRange,
@@ -297,11 +298,9 @@ class LagChoice:
     inputs: int | None
     """Number of lagged inputs; None: chosen from 1..max_order."""
     delay: int | None
-    """Delay in samples; None: chosen from 0..max_delay."""
+    """Delay in samples; None: chosen from 0..`MOST_DELAY`."""
     max_order: int
     """Greatest number of lags tried."""
-    max_delay: int = 10
-    """Greatest delay tried."""
     scheduling: int = 0
     """Degree of the coefficients in the scheduling signals."""
 
@@ -344,7 +343,7 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
     highest = max(1, min(choice.max_order, min(len(r) for r in part) // 12))
     delay = choice.delay
     if delay is None:
-        few = [Lags(min(2, highest), min(2, highest), d) for d in range(choice.max_delay + 1)]
+        few = [Lags(min(2, highest), min(2, highest), d) for d in range(MOST_DELAY + 1)]
         delay = _best_lags(part, context, few, 0.01, choice.scheduling).delay
     counts = range(1, highest + 1)
     numbers = product(

@@ -108,14 +108,3 @@ def through_line(line: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
 def mean(values: Sequence[AnyArray]) -> AnyArray:
     """Mean of arrays of one shape."""
     return sum(values[1:], values[0]) / len(values)
-
-
-def median(values: Sequence[AnyArray]) -> AnyArray:
-    """Median of arrays of one shape, elementwise, without sorting, which no target has."""
-    xp, ranked = namespace(*values), list(values)
-    for last in range(len(ranked) - 1, 0, -1):
-        for i in range(last):
-            a, b = ranked[i], ranked[i + 1]
-            ranked[i], ranked[i + 1] = xp.minimum(a, b), xp.maximum(a, b)
-    middle = len(ranked) // 2
-    return ranked[middle] if len(ranked) % 2 else 0.5 * (ranked[middle - 1] + ranked[middle])

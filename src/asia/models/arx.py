@@ -56,13 +56,11 @@ class Config:
     """Lagged inputs, chosen alike."""
     delay: int | None = 0
     """Samples before the newest input that acts: 0 lets u[k] act on y[k], None chooses among
-    0..max_delay."""
+    0..10."""
     structure: Literal["arx", "oe"] = "oe"
     """"arx": the error of the prediction one sample ahead; "oe": the simulation error."""
     max_order: int = 6
     """Greatest number of lags tried where `na` or `nb` is None."""
-    max_delay: int = 10
-    """Greatest delay tried where `delay` is None, in samples."""
     scheduling: int = 0
     """Degree of the coefficients in the inputs with `role = "scheduling"`: 1 is affine; 0 takes
     these as inputs like any other."""
@@ -70,7 +68,7 @@ class Config:
     def __post_init__(self) -> None:
         check_choice(self, "structure", ("arx", "oe"))
         check_at_least(1, self, "na", "nb", "max_order")
-        check_at_least(0, self, "delay", "max_delay", "scheduling")
+        check_at_least(0, self, "delay", "scheduling")
 
 
 def train(
@@ -96,7 +94,7 @@ def train(
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
-    choice = LagChoice(c.na, c.nb, c.delay, c.max_order, c.max_delay, scheduling=c.scheduling)
+    choice = LagChoice(c.na, c.nb, c.delay, c.max_order, scheduling=c.scheduling)
     lags = choose_lags(records, context, choice)
     usable(records, lags)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.models._arrays import AnyArray, namespace, sigmoid
-from asia.models._config import check_at_least, demand
+from asia.models._config import check_at_least
 from asia.models._networks.network import Driven, NetworkModel, network_family
 from asia.models._networks.structure import (
     Params,
@@ -30,10 +30,13 @@ from asia.models._numerics.training_records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
+# Least and greatest time constant of each layer, in samples.
+_SLOW, _FAST = (10.0, 200.0), (0.5, 20.0)
+
 
 @dataclass(frozen=True)
 class Config:
-    """Size of the two layers, and the ranges of their time constants."""
+    """Size of the two layers."""
 
     slow: int = 16
     """States of the slow layer."""
@@ -41,21 +44,11 @@ class Config:
     """States of the fast layer."""
     width: int = 32
     """Units of the inner layer of each f and of the network that gives the initial states."""
-    slow_min: float = 10.0
-    """Least time constant of the slow layer, in samples."""
-    slow_max: float = 200.0
-    """Greatest time constant of the slow layer, in samples."""
-    fast_min: float = 0.5
-    """Least time constant of the fast layer, in samples."""
-    fast_max: float = 20.0
-    """Greatest time constant of the fast layer, in samples."""
     features: tuple[str, ...] = ()
     """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "slow", "fast", "width")
-        demand(self, "slow_min", 0 < self.slow_min < self.slow_max, "0 < slow_min < slow_max")
-        demand(self, "fast_min", 0 < self.fast_min < self.fast_max, "0 < fast_min < fast_max")
         check_features(self)
 
 
@@ -84,10 +77,10 @@ class CascadedLTCCell(Driven[Config]):
         self, params: Any, state: tuple[AnyArray, AnyArray], u: AnyArray
     ) -> tuple[tuple[AnyArray, AnyArray], AnyArray]:
         """Advance by one sample; the fast layer reads the slow states of the same sample."""
-        c, u, xp = self.config, self.drive(u), namespace(u)
-        slow = _layer(params["slow"], c.slow_min, c.slow_max, state[0], u)
+        u, xp = self.drive(u), namespace(u)
+        slow = _layer(params["slow"], *_SLOW, state[0], u)
         drive = xp.concatenate([slow, u], axis=-1)
-        fast = _layer(params["fast"], c.fast_min, c.fast_max, state[1], drive)
+        fast = _layer(params["fast"], *_FAST, state[1], drive)
         return (slow, fast), xp.concatenate([slow, fast], axis=-1)
 
 

@@ -32,6 +32,9 @@ from asia.models._numerics.training_records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
+# Taps of a convolution.
+_TAPS = 3
+
 
 @dataclass(frozen=True)
 class Config:
@@ -41,8 +44,6 @@ class Config:
     """Samples of input that an output depends on, at least."""
     width: int = 16
     """Channels of a block."""
-    kernel: int = 3
-    """Taps of a convolution."""
     memory: int = 16
     """Channels that carry the past window; their initial time constants are log-spaced from 1 to
     the receptive field."""
@@ -53,14 +54,14 @@ class Config:
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "width", "memory", "encoder")
-        check_at_least(2, self, "kernel", "receptive_field")
+        check_at_least(2, self, "receptive_field")
         check_features(self)
 
     @property
     def dilations(self) -> tuple[int, ...]:
         """Dilations 1, 2, 4, ...: as many as the receptive field needs."""
         found = [1]
-        while 1 + (self.kernel - 1) * sum(found) < self.receptive_field:
+        while 1 + (_TAPS - 1) * sum(found) < self.receptive_field:
             found.append(2 * found[-1])
         return tuple(found)
 
@@ -79,7 +80,7 @@ class ConvolutionStack(Driven[Config]):
             "in": mlp_params(rng, (inputs, c.width)),
             "blocks": [
                 {
-                    "taps": dense(rng, c.kernel * c.width, 2 * c.width),
+                    "taps": dense(rng, _TAPS * c.width, 2 * c.width),
                     "b1": zeros(2 * c.width),
                     "w2": dense(rng, c.width, c.width),
                     "b2": zeros(c.width),
@@ -96,14 +97,14 @@ class ConvolutionStack(Driven[Config]):
         memory = decaying(mlp(params["encoder"], window), params["log_tau"], u.shape[1])
         x = mlp(params["in"], xp.concatenate([self.drive(u), memory], axis=-1))
         for p, dilation in zip(params["blocks"], self.config.dilations, strict=True):
-            delays = [dilation * i for i in range(self.config.kernel)]
+            delays = [dilation * i for i in range(_TAPS)]
             x = _block(p, x, [xp.pad(x, ((0, 0), (d, 0), (0, 0)))[:, : x.shape[1]] for d in delays])
         return xp.concatenate([x, memory], axis=-1)
 
     def begin(self, params: Any, window: AnyArray) -> Any:
         """Memory before the first sample, and the past inputs that the taps of each block read."""
         xp, c = namespace(window), self.config
-        rows = [(c.kernel - 1) * dilation for dilation in c.dilations]
+        rows = [(_TAPS - 1) * dilation for dilation in c.dilations]
         taps = [xp.zeros((len(window), n, c.width), window.dtype) for n in rows]
         return mlp(params["encoder"], window), taps
 
@@ -116,7 +117,7 @@ class ConvolutionStack(Driven[Config]):
         for p, dilation, line in zip(params["blocks"], self.config.dilations, lines, strict=True):
             known = xp.concatenate([line, x[:, None]], axis=1)
             last = known.shape[1] - 1
-            taps = [known[:, last - dilation * i] for i in range(self.config.kernel)]
+            taps = [known[:, last - dilation * i] for i in range(_TAPS)]
             x = _block(p, x, taps)
             after.append(known[:, 1:])
         return (memory, after), xp.concatenate([x, memory], axis=-1)

@@ -51,20 +51,9 @@ class Config:
     """Let a learned fraction of what a full storage cannot hold go into the next."""
     sensor: Sensor | None = None
     """A rising curve between content and output."""
-    linear: bool = False
-    """Add a linear term in contents and inputs to the balances."""
-    residual: int = 0
-    """Hidden tanh units of a network added to the balances; 0 is none."""
-    ridge: float = 1e-3
-    """Weight of the squared linear term, against the mean squared error."""
-    residual_ridge: float = 1e-2
-    """Weight of the squared coefficients of the network."""
-    substeps: int = 2
-    """Runge-Kutta steps a sample."""
 
     def __post_init__(self) -> None:
-        check_at_least(1, self, "count", "substeps")
-        check_at_least(0, self, "residual", "ridge", "residual_ridge")
+        check_at_least(1, self, "count")
         demand(self, "outflow", self.outflow in get_args(Outflow), "linear, root or power")
         demand(self, "spill", self.full or not self.spill, "False unless full")
 
@@ -108,14 +97,7 @@ def train(
     physics = balances(c, trajectories, context)
     context = replace(context, physics=physics)
     added = greybox.Config(
-        saturation=physics.states if c.full else (),
-        spill=c.spill,
-        linear=c.linear,
-        residual=c.residual,
-        ridge=c.ridge,
-        residual_ridge=c.residual_ridge,
-        substeps=c.substeps,
-        sensor=c.sensor,
+        saturation=physics.states if c.full else (), spill=c.spill, sensor=c.sensor
     )
     fitted = greybox.train(greybox.build(added, context), trajectories, context, method)
     return replace(model, fitted=fitted)

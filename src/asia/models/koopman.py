@@ -18,7 +18,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.models._arrays import AnyArray, namespace, scan, split
-from asia.models._config import check_at_least, demand
+from asia.models._config import check_at_least
 from asia.models._networks.network import Driven, NetworkModel, network_family
 from asia.models._networks.structure import (
     Params,
@@ -36,6 +36,8 @@ __all__ = ["Config", "NetworkModel", "build", "train"]
 
 # A pole nearer to the unit circle is rounded onto it.
 _SLOWEST_RATE = 1e-6
+# Slowest of the log-spaced initial time constants, in samples.
+_SLOWEST = 100.0
 # Largest initial rotation of a state in one sample, in rad.
 _LARGEST_ANGLE = 0.5
 
@@ -52,14 +54,11 @@ class Config:
     """Channels that the inputs are lifted to, beside the inputs themselves."""
     width: int = 32
     """Units of the inner layer of both lifts."""
-    tau_max: float = 100.0
-    """Slowest of the log-spaced initial time constants, in samples; the fastest is 1."""
     features: tuple[str, ...] = ()
     """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "levels", "states", "lift", "width")
-        demand(self, "tau_max", self.tau_max >= 1, "at least 1 sample")
         check_features(self)
 
 
@@ -77,7 +76,7 @@ class KoopmanMap(Driven[Config]):
             "lift": mlp_params(rng, (nu, c.width, c.lift)),
             "levels": [
                 {
-                    "log_rate": -log_spaced(1.0, c.tau_max, c.states),
+                    "log_rate": -log_spaced(1.0, _SLOWEST, c.states),
                     "angle": rng.uniform(0.0, _LARGEST_ANGLE, c.states).astype(np.float32),
                     "b": dense(rng, lifted, 2 * c.states),
                     "left": dense(rng, 2 * level * c.states, 2 * c.states),

@@ -23,7 +23,7 @@ from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, check_choice, demand
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear import fit as levels
-from asia.models._linear.closed_loop import Choices, LoopMethod, fit_in_loop
+from asia.models._linear.closed_loop import LoopMethod, fit_in_loop
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
@@ -36,7 +36,7 @@ from asia.models._linear.fit import (
     unseen_errors,
 )
 from asia.models._linear.joint import fit_jointly, sampled_responses
-from asia.models._linear.periodic import PeriodicChoice, fit_periodic
+from asia.models._linear.periodic import fit_periodic
 from asia.models._linear.regularised import Form, fit_regularised
 from asia.models._linear.response import numbers_of
 from asia.models._linear.system import LinearSystem
@@ -50,6 +50,7 @@ from asia.models._linear.window_predictor import (
 )
 from asia.models._noise.model import refuse_noise
 from asia.models._numerics.encoder import Encoder
+from asia.models._numerics.lags import MOST_DELAY
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import (
     ScaledData,
@@ -92,9 +93,7 @@ class Config:
     """The smallest order whose error is within this share of the least is taken."""
     delay: int | None = 0
     """Samples by which every input is delayed beyond what the states can express; None estimates
-    it among 0..max_delay."""
-    max_delay: int = 10
-    """Greatest delay tried where `delay` is None, in samples."""
+    it among 0..10."""
     integrators: int = 0
     """Free integrators: poles held at 1, which count among the states."""
     periodic: bool = False
@@ -127,7 +126,7 @@ class Config:
             "None beside integrators, periodic, levels and loop",
         )  # fmt: skip
         check_at_least(1, self, "order", "max_order", "periodic_order")
-        check_at_least(0, self, "delay", "max_delay", "integrators")
+        check_at_least(0, self, "delay", "integrators")
         enough = self.integrators <= (self.order or self.max_order)
         demand(self, "integrators", enough, "at most the order")
 
@@ -310,8 +309,7 @@ def train(
     if c.loop is not None:
         refuse_noise(method or LevenbergMarquardt(), f"linear, loop={c.loop!r}")
         # The controller answers in the same sample: a predictor takes that for the plant.
-        delay = None if c.loop == "direct" and c.delay == 0 else c.delay
-        choices = Choices(c.order, c.max_order, delay, c.max_delay)
+        choices = replace(c, delay=None) if c.loop == "direct" and c.delay == 0 else c
         parts = fit_in_loop(trajectories, context, c.loop, choices, refinement, scaling)
         return replace(model, fitted=FittedLinear(*parts))
     if c.levels:
@@ -333,8 +331,7 @@ def _fitted(
     plain = context.horizon is None and config.integrators == 0 and refinement.noise is None
     if config.periodic and plain:
         late = [r.with_delay(config.delay or 0) for r in records]
-        choice = PeriodicChoice(config.order, config.periodic_order, config.tolerance)
-        periodic = fit_periodic(late, context, choice, refinement.iterations, context.log)
+        periodic = fit_periodic(late, context, config, refinement.iterations, context.log)
         if periodic is not None:
             return FittedLinear(*periodic, config.delay or 0, scaling)
     if config.regularised and plain:
@@ -431,7 +428,7 @@ def _selected(
     if delay is None:
         modest = max(min(order or 2 + held, _affordable(part, config.max_order)), held)
         quick = Refinement(iterations=5, integrators=held)
-        for d in tracked(range(config.max_delay + 1), "delay"):
+        for d in tracked(range(MOST_DELAY + 1), "delay"):
             error = fit([r.with_delay(d) for r in part], modest, quick).error
             delay_errors[d] = float(np.sqrt(error))
         limit = np.sqrt(1.02) * max(min(delay_errors.values()), rounding)
@@ -487,7 +484,7 @@ def _fit_with_responses(
         highest = max(_affordable(records, config.max_order), found.system.order)
         orders.add(min(max(one.order for one in responses), highest))
     if config.delay is None:
-        delays |= {min(one.delay, config.max_delay) for one in responses}
+        delays |= {min(one.delay, MOST_DELAY) for one in responses}
     first, held = (found.system.order, delay), replace(refinement, integrators=config.integrators)
     tried: list[tuple[float, tuple[LinearFit, int, list[ScaledTrajectory]]]] = []
     for n, d in itertools.product(sorted(orders), sorted(delays)):

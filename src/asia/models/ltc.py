@@ -14,7 +14,6 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Trajectory
-from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, check_choice
 from asia.models._networks.network import Driven, NetworkModel, Prepare, as_built, network_family
@@ -23,6 +22,7 @@ from asia.models._networks.structure import (
     check_features,
     dense,
     drive_size,
+    log_spaced,
     uniform,
     zeros,
 )
@@ -36,14 +36,10 @@ class Config:
     """Size of the network, and where its time constants and weights start."""
 
     hidden: int = 64
-    """States."""
-    width: int | None = None
-    """Units of the inner layer of f and of the network that gives the initial states; None: as
-    many as states."""
-    tau_min: float = 1.0
-    """Fastest of the log-spaced initial time constants, in samples."""
+    """States, and units of the inner layers of f and of the network that gives the initial
+    states."""
     tau_max: float = 25.0
-    """Slowest of the log-spaced initial time constants, in samples."""
+    """Slowest of the log-spaced initial time constants, in samples; the fastest is 1."""
     start: Literal["ridge", "uniform"] = "ridge"
     """"ridge" solves the output layer by ridge regression before training; "uniform" draws all
     weights within 1 / sqrt(fan-in), as PyTorch does."""
@@ -53,9 +49,7 @@ class Config:
     """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
-        check_at_least(1, self, "hidden", "width")
-        if not 0 < self.tau_min <= self.tau_max:
-            raise UserError("ltc.Config: expected 0 < tau_min <= tau_max")
+        check_at_least(1, self, "hidden", "tau_max")
         check_choice(self, "start", ("ridge", "uniform"))
         check_features(self)
 
@@ -67,17 +61,16 @@ class LTCCell(Driven[Config]):
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
         rng, c = np.random.default_rng(context.seed), self.config
-        hidden, width = c.hidden, c.width or c.hidden
-        seen, nu = window_size(context), context.nu
+        hidden, seen, nu = c.hidden, window_size(context), context.nu
         inputs = drive_size(c.features, nu)
         weights = {
-            "enc_w1": (seen, width),
-            "enc_w2": (width, hidden),
-            "f_h": (hidden, width),
-            "f_u": (inputs, width),
-            "f_w2": (width, hidden),
+            "enc_w1": (seen, hidden),
+            "enc_w2": (hidden, hidden),
+            "f_h": (hidden, hidden),
+            "f_u": (inputs, hidden),
+            "f_w2": (hidden, hidden),
         }
-        biases = {"enc_b1": width, "enc_b2": hidden, "f_b1": width, "f_b2": hidden}
+        biases = dict.fromkeys(("enc_b1", "enc_b2", "f_b1", "f_b2"), hidden)
         read = hidden + nu
         if c.start == "ridge":
             params = {name: dense(rng, *shape) for name, shape in weights.items()}
@@ -89,10 +82,15 @@ class LTCCell(Driven[Config]):
             fan_in = {name: shape[0] for name, shape in weights.items()}
             # f's first layer reads h and u together.
             fan_in |= dict.fromkeys(("f_h", "f_u", "f_b1"), hidden + inputs)
-            fan_in |= {"enc_b1": seen, "enc_b2": width, "f_b2": width, "out_w": read, "out_b": read}
+            fan_in |= {
+                "enc_b1": seen,
+                "enc_b2": hidden,
+                "f_b2": hidden,
+                "out_w": read,
+                "out_b": read,
+            }
             params = {name: uniform(rng, shape, fan_in[name]) for name, shape in shapes.items()}
-        taus = np.linspace(np.log(c.tau_min), np.log(c.tau_max), hidden)
-        return {**params, "log_tau": taus.astype(np.float32)}
+        return {**params, "log_tau": log_spaced(1.0, c.tau_max, hidden)}
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
         """Leave the weights of a "uniform" start as they are drawn."""

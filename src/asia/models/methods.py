@@ -62,8 +62,6 @@ class _NetworkFit:
     plus white noise, see `LevenbergMarquardt`. The first half of the steps is fitted without it;
     from there the sizes of both parts are estimated. Simulated chunks are whitened separately.
     Not for `MultipleShooting`."""
-    slow_time: float | None = None
-    """Time constant of the slow disturbance in s; None estimates it."""
     huber: float | None = None
     """Threshold, in deviations of the innovations, beyond which their loss grows in proportion to
     them; None is least squares. Beside it or a noise model `loss` must be "mse"."""
@@ -73,10 +71,9 @@ class _NetworkFit:
 class Adam(_NetworkFit):
     """First-order training on the simulation error in z-scores.
 
-    A step sees whole records, windows of the problem's horizon, or chunks of `truncation` samples.
-    A chunk starts at a random place from its own past window; with `carry` the chunks of a record
-    follow each other, the state carried over and the gradient cut between them (truncated
-    back-propagation through time).
+    A step sees whole records, windows of the problem's horizon, or chunks of `truncation` samples,
+    each of which starts at a random place from its own past window (truncated back-propagation
+    through time).
 
     Sources: Kingma and Ba, ICLR 2015; Loshchilov and Hutter, ICLR 2019 (weight decay); Beintema et
     al., Automatica 156, 2023 (chunks); Bengio et al., NeurIPS 2015 (scheduled sampling); Gal and
@@ -98,15 +95,10 @@ class Adam(_NetworkFit):
     """Standard deviation of white noise added to the z-scored inputs."""
     truncation: int | None = None
     """Samples of a chunk; None simulates whole records, or windows of the problem's horizon."""
-    washout: int = 0
-    """Samples at the start of a simulation that do not count."""
     batch: int | None = None
-    """Chunks of a step; None: as many as cover the records once, but at most 128. With `carry`, the
-    segments read side by side; None: one a record."""
+    """Chunks of a step; None: as many as cover the records once, but at most 128."""
     full_batch: bool = False
     """Use all chunks in every step, laid end to end."""
-    carry: bool = False
-    """Read chunks in time order and carry the state over."""
     loss: Loss = "mse"
     """Mean of squares, "mse", of absolute values, "mae", or Huber's with its bend at 1, "huber"."""
     horizons: tuple[int, ...] | None = None
@@ -136,12 +128,9 @@ class Adam(_NetworkFit):
 
     def __post_init__(self) -> None:
         _check_optimiser(self)
-        _check_fit(self, self.truncation, self.washout)
-        if self.horizons is not None and min(self.horizons, default=0) <= self.washout:
-            raise UserError(
-                f"Adam: horizons is {self.horizons!r}, expected sample counts that are all above "
-                f"washout ({self.washout})"
-            )
+        _check_fit(self, self.truncation)
+        least = 1 if self.horizons is None else min(self.horizons, default=0)
+        demand(self, "horizons", least >= 1, "numbers of samples, each at least 1")
         for name in ("noise", "gentle", "offset"):
             demand(self, name, getattr(self, name) >= 0, "0 or more")
         demand(self, "dropout", 0 <= self.dropout < 1, "a share in [0, 1)")
@@ -149,11 +138,6 @@ class Adam(_NetworkFit):
         demand(self, "teacher", 0 <= self.teacher <= 1, "a probability")
         demand(self, "teacher_end", 0 <= self.teacher_end <= 1, "a probability")
         demand(self, "batch", self.batch is None or self.batch >= 1, "None or at least 1")
-        if self.carry and (self.full_batch or self.truncation is None):
-            raise UserError(
-                "Adam: carry reads the records in chunks of `truncation` samples; give truncation "
-                "and leave full_batch out"
-            )
         if self.full_batch and self.batch is not None:
             raise UserError("Adam: full_batch takes every chunk in each step; leave batch out")
 
@@ -178,11 +162,9 @@ class LBFGS(_NetworkFit):
     loss: Loss = "mse"
     """Mean of squares, "mse", or Huber's with its bend at 1, "huber": those with a gradient
     everywhere."""
-    washout: int = 0
-    """Samples at the start of a simulation that do not count."""
 
     def __post_init__(self) -> None:
-        _check_fit(self, self.truncation, self.washout)
+        _check_fit(self, self.truncation)
         demand(self, "memory", self.memory >= 1, "at least 1")
         demand(self, "ridge", self.ridge >= 0, "0 or more")
         if self.loss == "mae":
@@ -257,7 +239,7 @@ def _check_optimiser(m: Adam | MultipleShooting) -> None:
     demand(m, "plateau_patience", m.plateau_patience >= 0, "0 checks or more")
 
 
-def _check_fit(m: NetworkMethod, truncation: int | None = None, washout: int = 0) -> None:
+def _check_fit(m: NetworkMethod, truncation: int | None = None) -> None:
     check_at_least(1, m, "steps", "members", "every", "patience")
     check_noise(m)
     if NoiseChoice.of(m) is not None and m.loss != "mse":
@@ -270,10 +252,3 @@ def _check_fit(m: NetworkMethod, truncation: int | None = None, washout: int = 0
     check_choice(m, "loss", get_args(Loss))
     if truncation is not None:
         demand(m, "truncation", truncation >= 1, "None or at least 1")
-    if washout:
-        demand(m, "washout", washout >= 0, "0 samples or more")
-    if truncation is not None and washout >= truncation:
-        raise UserError(
-            f"{owner(m)}: washout is {washout}, expected less than truncation ({truncation}): "
-            "no sample of a chunk would count"
-        )

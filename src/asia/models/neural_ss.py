@@ -25,6 +25,7 @@ from asia.models._numerics.encoder import affine
 from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
 from asia.models._numerics.training_records import ScaledData, check, cut_windows, scaled
 from asia.models._state_space.model import (
+    LINEAR_RIDGE,
     FittedStateSpace,
     StateCell,
     carried_records,
@@ -75,13 +76,6 @@ class Config:
     ridge: float = 1e-5
     """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
     weights from their start."""
-    linear_ridge: float = 1e-7
-    """Weight of the squared distance of A, B, C, D and the offset from their start."""
-    encoder: int = 30
-    """Units of the tanh layer of the map from the past window to the initial state."""
-    members: int = 1
-    """Number of the fits from several starts that are kept, with Levenberg-Marquardt; the median of
-    their outputs is taken."""
     delay: int | None = 0
     """Samples by which every input is delayed; None estimates it, see `linear.Config`."""
     symmetry: bool = False
@@ -109,7 +103,7 @@ class Config:
     is estimated; the input itself acts at once as well."""
 
     def __post_init__(self) -> None:
-        check_at_least(1, self, "order", "hidden", "members", "channels")
+        check_at_least(1, self, "order", "hidden", "channels")
         check_at_least(2, self, "degree")
         check_at_least(0, self, "friction", "play", "integrators", "transport")
         still = self.transport is None or not self.symmetry
@@ -147,8 +141,7 @@ def train(
 
     The error is that of all records, or of windows where `linear.windowed` chooses the past window
     as state. Levenberg-Marquardt suits short records and few parameters (its Jacobian takes
-    samples x outputs x parameters numbers); `method.starts` initialisations are tried and the
-    `config.members` with the lowest training cost are kept.
+    samples x outputs x parameters numbers); the best of `method.starts` initialisations is kept.
 
     Raises:
         UserError: for records too short or mis-shaped, and for a transport at the pace of an input
@@ -196,9 +189,9 @@ def _train_records(
     """Train on whole records; return the least cost with Levenberg-Marquardt too."""
     begun = _begun(c, data, context)
     if isinstance(method, LevenbergMarquardt):
-        from asia.models._state_space.training import LmOptions, error_on_segments, fit_members
+        from asia.models._state_space.training import LmOptions, error_on_segments, fit_best
 
-        options = LmOptions(_ridges(c), c.members, c.encoder, c.pieces, c.past_fit)
+        options = LmOptions(_ridges(c), c.pieces, c.past_fit)
         if c.nonlinearity == "modal" and c.order is None and c.pieces:
             # A linear model takes a mode whose frequency depends on the amplitude for noise.
             wider = replace(c, order=begun[0].order + 2, delay=begun[3])
@@ -209,17 +202,17 @@ def _train_records(
             ]
             begun = more if errors[1] < _MISSED * errors[0] else begun
         structure, *_, delay = begun
-        best = fit_members(*begun[:3], data.scaling, context, method, options)
-        each = best.members, delay, data.scaling, data.turns, best.starts
+        best = fit_best(*begun[:3], data.scaling, context, method, options)
+        each = best.params, best.encoder, delay, data.scaling, data.turns, best.past_fit
         return FittedStateSpace(structure, *each), best.cost
     structure, found, used, delay = begun
     rng = np.random.default_rng(context.seed)
     start = starts_of(structure, found, used, 1, data.scaling, rng)[0]
     encoder = encoded_at_rest(structure, encoder_of(used, found, context))
-    params = encoded(start, encoder, c.encoder, context)
+    params = encoded(start, encoder, context)
     late = [r.with_delay(delay) for r in data.every]
-    member = fit_encoded(StateCell(structure), params, late, context, method, data.copies)
-    return FittedStateSpace(structure, (member,), delay, data.scaling, data.turns), np.inf
+    found = fit_encoded(StateCell(structure), params, late, context, method, data.copies)
+    return FittedStateSpace(structure, *found, delay, data.scaling, data.turns), np.inf
 
 
 def _begun(
@@ -268,7 +261,7 @@ def _train_windowed(
     if isinstance(method, Adam):
         params = structure.start_windowed(predictor, rng)
         cell = StateCell(structure)
-        members = [fit_by_adam(cell, params, data.every, context, method, data.copies)]
+        found = fit_by_adam(cell, params, data.every, context, method, data.copies)
     else:
         starts = [structure.start_windowed(predictor, rng) for _ in range(method.starts)]
         size = tree_size(starts[0])
@@ -279,9 +272,9 @@ def _train_windowed(
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
         time = context.sampling_time
         fits = fit_states(structure, starts, samples, ridges, method, context.log, time)
-        members = [one.params for one in fits[: c.members]]
-    each = tuple((p, encoder) for p in members)
-    return replace(model, fitted=FittedStateSpace(structure, each, 0, data.scaling, data.turns))
+        found = fits[0].params
+    fitted = FittedStateSpace(structure, found, encoder, 0, data.scaling, data.turns)
+    return replace(model, fitted=fitted)
 
 
 def _scheduling(config: Config, context: Context) -> tuple[int, ...]:
@@ -292,6 +285,6 @@ def _scheduling(config: Config, context: Context) -> tuple[int, ...]:
 
 
 def _ridges(config: Config) -> dict[str, float]:
-    ridge: dict[str, float] = dict.fromkeys(("a", "b", "c", "d", "offset"), config.linear_ridge)
+    ridge: dict[str, float] = dict.fromkeys(("a", "b", "c", "d", "offset"), LINEAR_RIDGE)
     ridge.update(dict.fromkeys(("f", "s", "r", "read", "act", "dry", "play"), config.ridge))
     return ridge

@@ -55,10 +55,6 @@ class Config:
     ridge: float = 1e-6
     """Weight, against the mean squared error in z-scores, of the squared distance of the functions'
     weights from their start."""
-    linear_ridge: float = 1e-7
-    """Weight of the squared distance of the linear system from its start."""
-    encoder: int = 30
-    """Units of the tanh layer of the map from the past window to the initial state."""
     delay: int | None = None
     """Samples by which every input is delayed; None compares none with the delay of the best linear
     model."""
@@ -69,7 +65,7 @@ class Config:
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "hidden", "channels")
-        check_at_least(0, self, "integrators", "ridge", "linear_ridge")
+        check_at_least(0, self, "integrators", "ridge")
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,7 @@ def train(
     Raises:
         UserError: for records too short or mis-shaped.
     """
-    from asia.models._state_space.feedback import FeedbackOptions, LinearCore, fit_feedback
+    from asia.models._state_space.feedback import LinearCore, fit_feedback
 
     check(trajectories, context)
     c = model.config
@@ -142,7 +138,4 @@ def train(
         core._replace(found=with_unit_states(core.found, core.records, c.integrators))
         for core in cores
     ]
-    options = FeedbackOptions(
-        c.channels, c.hidden, c.ridge, c.linear_ridge, c.encoder, c.integrators, c.pieces
-    )
-    return replace(model, fitted=fit_feedback(cores, options, scaling, context, method))
+    return replace(model, fitted=fit_feedback(cores, c, scaling, context, method))

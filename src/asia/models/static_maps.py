@@ -35,15 +35,13 @@ from asia.models._steps import FittedModel
 
 M = TypeVar("M")
 
-InputMap = Literal["saturation", "dead_zone", "monotone", "odd"]
+InputMap = Literal["saturation", "dead_zone", "monotone"]
 OutputMap = Literal["magnitude", "square", "monotone"]
 
 # Samples that the functions are fitted to; segments of a problem with a horizon.
 _SAMPLES, _WINDOWS = 3000, 60
-# Quantiles at the knots of free functions, of the signal or of its distance from the mean, and
-# limits of their slopes.
+# Quantiles at the knots of free functions, and limits of their slopes.
 _QUANTILES = (0.02, 0.15, 0.35, 0.65, 0.85, 0.98)
-_REACHES = (0.1, 0.35, 0.6, 0.8, 0.95)
 _SLOPES = (0.02, 20.0)
 # First guesses of the two levels: quantiles of the input on each side.
 _LEVELS = (0.02, 0.08, 0.16, 0.25, 0.35)
@@ -61,14 +59,13 @@ class Config:
 
     input_map: InputMap | None = None
     """Function of every input: "saturation" with a lower and an upper level, "dead_zone" with its
-    two edges, "monotone", a rising piecewise linear function, or "odd", one that is odd around the
-    mean of the input."""
+    two edges, or "monotone", a rising piecewise linear function."""
     output_map: OutputMap | None = None
     """Function of every output: "magnitude", the sensor gives no sign, "square", it gives the
     square, or "monotone", a rising piecewise linear function."""
 
     def __post_init__(self) -> None:
-        check_choice(self, "input_map", ("saturation", "dead_zone", "monotone", "odd", None))
+        check_choice(self, "input_map", ("saturation", "dead_zone", "monotone", None))
         check_choice(self, "output_map", ("magnitude", "square", "monotone", None))
 
 
@@ -277,13 +274,7 @@ def _functions(kind: str, x: Array, theta: Array) -> PiecewiseLinear:
         slopes = np.tile([[0.0], [1.0], [0.0]] if saturates else [[1.0], [0.0], [1.0]], n)
         # A dead zone gives zero at its edges, a saturation its levels.
         return PiecewiseLinear(knots, slopes, knots[0] if saturates else np.zeros(n))
-    slopes = np.exp(theta)
-    if kind == "odd":
-        reach = np.quantile(abs(x - x.mean(axis=0)), _REACHES, axis=0)
-        knots = x.mean(axis=0) + np.concatenate([-reach[::-1], reach])
-        slopes = np.concatenate([slopes[:0:-1], slopes])
-    else:
-        knots = np.quantile(x, _QUANTILES, axis=0)
+    slopes, knots = np.exp(theta), np.quantile(x, _QUANTILES, axis=0)
     plain = PiecewiseLinear(knots, slopes, knots[0])
     y = plain(x)
     gain = x.std(axis=0) / np.maximum(y.std(axis=0), 1e-300)
@@ -307,12 +298,7 @@ def _fitted(
     order = max(2, found.system.order)
 
     nu, ny, kind = context.nu, context.ny, config.input_map
-    rows = {
-        "saturation": 2,
-        "dead_zone": 2,
-        "odd": len(_REACHES) + 1,
-        "monotone": len(_QUANTILES) + 1,
-    }
+    rows = {"saturation": 2, "dead_zone": 2, "monotone": len(_QUANTILES) + 1}
     inputs = rows[kind] if kind else 0
     outputs = rows["monotone"] if bent else 0
 

@@ -39,11 +39,11 @@ def test_facts_carry_protocol_groups_and_budget() -> None:
 
 
 def test_traits_name_the_kind_of_problem() -> None:
-    assert traits(simulation(physics=True)) == {"physics", "parameters", "short"}
-    assert traits(windows()) == {"windows", "measured", "long"}
+    assert traits(simulation(physics=True)) == {"physics", "parameters", "single", "short"}
+    assert traits(windows()) == {"windows", "measured", "single", "long"}
     body = Physics(states=("x", "v"), dynamics={"x": "v", "v": "-x + u"}, observation={"y": "x"})
     one = replace(simulation(physics=False), physics=body)
-    assert traits(one) == {"physics", "short"}
+    assert traits(one) == {"physics", "single", "short"}
     both = replace(one, outputs=(one.outputs[0], replace(one.outputs[0], name="v")))
     assert traits(both) == {"physics", "measured", "several", "short"}
 

@@ -72,23 +72,20 @@ def levels_model() -> Any:
     return linear.LinearStateSpace(linear.Config(), None, found)
 
 
-def state_space_model(members: int, basis: Any, place: Any = "state") -> Any:
+def state_space_model(basis: Any, place: Any = "state") -> Any:
     play = 1 if basis == "tanh" else 0
     structure = StateSpaceStructure(
         3, NU, NY, place, basis, 4, 2, None, friction=1, play=play, pairs=1
     )
-    found = []
-    for _ in range(members):
-        p = structure.start(system(), rng)
-        p["f"] = {k: v + 0.1 * rng.standard_normal(v.shape) for k, v in p["f"].items()}
-        p["dry"] = {
-            "w": drawn(3, 1), "b": drawn(1), "stiff": drawn(1), "uneven": drawn(1),
-            "narrow": drawn(1), "extra": drawn(1), "g": drawn(1, 3), "h": drawn(1, NY),
-        }  # fmt: skip
-        if structure.play:
-            p["play"] = {"w": drawn(3, 1), "wu": drawn(NU, 1), "g": drawn(1, 3), "h": drawn(1, NY)}
-        found.append((p, encoder(structure.size)))
-    fitted = FittedStateSpace(structure, tuple(found), 1, SCALING)
+    p = structure.start(system(), rng)
+    p["f"] = {k: v + 0.1 * rng.standard_normal(v.shape) for k, v in p["f"].items()}
+    p["dry"] = {
+        "w": drawn(3, 1), "b": drawn(1), "stiff": drawn(1), "uneven": drawn(1),
+        "narrow": drawn(1), "extra": drawn(1), "g": drawn(1, 3), "h": drawn(1, NY),
+    }  # fmt: skip
+    if structure.play:
+        p["play"] = {"w": drawn(3, 1), "wu": drawn(NU, 1), "g": drawn(1, 3), "h": drawn(1, NY)}
+    fitted = FittedStateSpace(structure, p, encoder(structure.size), 1, SCALING)
     return neural_ss.NeuralStateSpace(neural_ss.Config(), fitted)
 
 
@@ -99,7 +96,7 @@ def carried_model() -> Any:
     p = structure.start(replace(system(), b=drawn(3, NU + 1), d=drawn(NY, NU + 1)), rng)
     p["f"] = {k: v + 0.1 * rng.standard_normal(v.shape) for k, v in p["f"].items()}
     start = affine(drawn(PAST * (NU + 1 + NY), 3), drawn(3))
-    fitted = FittedStateSpace(structure, ((p, start),), 1, wide, transport=Transport(0, 4.0, 0.55))
+    fitted = FittedStateSpace(structure, p, start, 1, wide, transport=Transport(0, 4.0, 0.55))
     return neural_ss.NeuralStateSpace(neural_ss.Config(), fitted)
 
 
@@ -128,10 +125,9 @@ MODELS: dict[str, Callable[[], Any]] = {
     "linear": lambda: linear_model(0),
     "linear with delay": lambda: linear_model(5),
     "linear with levels": levels_model,
-    "neural_ss": lambda: state_space_model(1, "tanh"),
-    "neural_ss, median of 2": lambda: state_space_model(2, "tanh"),
-    "neural_ss, polynomial, median of 3": lambda: state_space_model(3, "polynomial"),
-    "neural_ss, modes": lambda: state_space_model(1, "polynomial", "modal"),
+    "neural_ss": lambda: state_space_model("tanh"),
+    "neural_ss, polynomial": lambda: state_space_model("polynomial"),
+    "neural_ss, modes": lambda: state_space_model("polynomial", "modal"),
     "neural_ss with transport": carried_model,
     "narx": polynomial_model,
     "gru": lambda: network(recurrent, cell="gru", hidden=5, layers=2),

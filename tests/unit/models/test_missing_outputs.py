@@ -121,6 +121,7 @@ every_family = pytest.mark.parametrize(
             marks=() if r.name in QUICK else pytest.mark.long if r.seeds else pytest.mark.slow,
         )
         for r in all_families()
+        if "single" not in r.needs
     ],
 )
 

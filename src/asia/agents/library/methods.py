@@ -13,8 +13,6 @@ LM = "LevenbergMarquardt"
 _LARGE_BATCH = 384
 # So many samples are too many for batches of 128 to give a quiet gradient.
 _MANY_SAMPLES = 20_000
-# Samples at the start of a simulation that a wrong initial state may spoil.
-_TRANSIENT = 20
 # Windows at least so long are worth a loss at several horizons.
 _LEAST_HORIZON = 10
 
@@ -61,8 +59,6 @@ def adam_space(facts: Facts, needs: str = "") -> tuple[Parameter, ...]:
         found.append(OneOf("batch", (None, _LARGE_BATCH), needs=needs))
     if facts.horizon is None:
         found.append(OneOf("truncation", (64, 128, 256), needs=needs))
-        found.append(OneOf("carry", (False, True), needs="truncation"))
-        found.append(OneOf("washout", (0, _TRANSIENT), needs=needs))
     elif facts.horizon >= _LEAST_HORIZON:
         found.append(OneOf("horizons", (None, several_horizons(facts)), needs=needs))
     return tuple(found)

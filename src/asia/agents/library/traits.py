@@ -12,8 +12,9 @@ from asia.data.statistics import integrating, period, resonant
 from asia.problem.symmetry import of_signals
 
 Trait = Literal[
-    "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric",
-    "integrating", "resonant", "plant", "scheduling", "irregular", "feedback",
+    "physics", "parameters", "windows", "measured", "short", "long", "single", "several",
+    "symmetric",
+ "integrating", "resonant", "plant", "scheduling", "irregular", "feedback",
 ]  # fmt: skip
 
 
@@ -21,9 +22,10 @@ def traits(facts: Facts) -> frozenset[Trait]:
     """physics: equations are given; parameters: with unknown parameters in them; windows: many
     short simulations instead of whole records; measured: every state is an output or, without
     equations, the past window is one output sample; short, long: at most 2000 or at least 20 000
-    samples to fit; several: more than one output; symmetric: a symmetry of inputs and outputs alone
-    is declared; integrating: an output drifts with the sum of the inputs, and whole records are
-    simulated; resonant: an output has a lightly damped mode, and whole records are simulated;
+    samples to fit; single: one input and one output; several: more than one output; symmetric: a
+    symmetry of inputs and outputs alone is declared; integrating: an output drifts with the sum of
+    the inputs, and whole records are simulated; resonant: an output has a lightly damped mode, and
+    whole records are simulated;
     plant: a simulator of the user's own is given; scheduling: an input is a scheduling signal;
     irregular: an input holds the time step; feedback: [loop] names a closed loop, whose noise is
     still in the inputs."""
@@ -45,6 +47,7 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "measured": measured,
         "short": facts.fit_samples <= 2_000,
         "long": facts.fit_samples >= 20_000,
+        "single": len(inputs) == len(outputs) == 1,
         "several": len(outputs) > 1,
         "integrating": facts.horizon is None and bool(integrating(facts.records)),
         "resonant": facts.horizon is None and resonant(facts.records),

@@ -282,8 +282,8 @@ def _procedure(problem: Problem, experiments: int, confinement: Confinement) -> 
     if problem.physics is None:
         signs += [
             "| sign of the error changes with the output | a static nonlinearity: `python tools.py "
-            "--why` says of what: an input (`block_oriented`, `hammerstein`), the output "
-            "(`wiener`) or the dynamics (`nl_lfr`, `channels=2`) |",
+            '--why` says of what: an input (`neural_ss`, `nonlinearity="input"`), the '
+            'output (`"output"`) or the dynamics (`nl_lfr`, `channels=2`) |',
             "| `motion`, or a term `sign(rate(...))` in the dynamics | friction, play, hysteresis: "
             "`nl_lfr`, `channels=2`, or equations of your own (`models.md`) |",
             "| model leads the record | a delay or a lag of the input |",

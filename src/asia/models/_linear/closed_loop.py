@@ -32,13 +32,15 @@ from asia.models._least_squares import (
     solve_or_fit,
 )
 from asia.models._linear.fit import Refinement, fit, stabilised
-from asia.models._linear.response import DrivenRecords, LongResponse, Response
+from asia.models._linear.response import DrivenRecords, Response
 from asia.models._linear.system import LinearSystem, unpacked
 from asia.models._numerics.encoder import Encoder, affine
+from asia.models._numerics.lags import MOST_DELAY
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledTrajectory, delayed, scaled
 
 if TYPE_CHECKING:
+    from asia.models.linear import Config
     from asia.problem.feedback import Loop
 
 LoopMethod: TypeAlias = Literal["direct", "two_stage", "controller"]
@@ -51,16 +53,6 @@ _LAGS, _WHITENING = 20, 12
 _MOST_SAMPLES = 20_000
 # Greatest modulus of the poles of a plant whose output is simulated from its input alone.
 _DECAYING = 0.999
-
-
-@dataclass(frozen=True)
-class Choices:
-    """Order and delay of the plant; None chooses them up to the limits."""
-
-    order: int | None
-    max_order: int
-    delay: int | None
-    max_delay: int
 
 
 @dataclass(frozen=True)
@@ -84,7 +76,7 @@ def fit_in_loop(
     trajectories: Sequence[Trajectory],
     context: Context,
     method: LoopMethod,
-    choices: Choices,
+    choices: Config,
     refinement: Refinement,
     scaling: Scaling,
 ) -> tuple[LinearSystem, Encoder, int, Scaling]:
@@ -131,7 +123,7 @@ def fit_in_loop(
 
 
 def _direct(
-    records: Sequence[ScaledTrajectory], choices: Choices, refinement: Refinement, context: Context
+    records: Sequence[ScaledTrajectory], choices: Config, refinement: Refinement, context: Context
 ) -> Innovations:
     """Fit the predictor of an innovations model; an open order is the one of the least Bayesian
     information criterion."""
@@ -218,15 +210,15 @@ def _regression(x: Array, y: Array) -> Array:
     return np.linalg.solve(gram + ridge, x.T @ y)
 
 
-def _delay(records: Sequence[ScaledTrajectory], choices: Choices) -> int:
+def _delay(records: Sequence[ScaledTrajectory], choices: Config) -> int:
     """Smallest delay, 1 or more, whose difference equation of few lags predicts within 1 % of the
     best. A controller answers in the same sample: a predictor cannot tell a plant without delay
     from it."""
     lags, errors = choices.order or 3, list[float]()
-    for delay in range(1, max(choices.max_delay, 1) + 1):
+    for delay in range(1, MOST_DELAY + 1):
         past, u, y = _lagged([r.with_delay(delay) for r in records], lags)
-        rows = np.hstack([past, u, np.ones((len(u), 1))])[choices.max_delay :]
-        y = y[choices.max_delay :]
+        rows = np.hstack([past, u, np.ones((len(u), 1))])[MOST_DELAY:]
+        y = y[MOST_DELAY:]
         errors.append(float(((y - rows @ _regression(rows, y)) ** 2).mean()))
     return next(d for d, error in enumerate(errors, 1) if error <= 1.01 * min(errors))
 
@@ -242,7 +234,7 @@ def _two_stage(
     records: Sequence[ScaledTrajectory],
     references: Sequence[Array],
     delay: int,
-    choices: Choices,
+    choices: Config,
     refinement: Refinement,
     context: Context,
 ) -> Innovations:
@@ -255,7 +247,7 @@ def _two_stage(
     ]
     shortest = min(len(one) for one in records)
     found = fit(driven, max(1, min(_STAGE_ORDER + delay, shortest // 8)), refinement)
-    response = DrivenRecords(driven).summed(found.system, found.x0)
+    response = DrivenRecords(driven).response(found.system, found.x0)
     explained = [one.y - response.misfit(i) for i, one in enumerate(driven)]
     clean = [
         replace(one, u=e[:, :nu], undelayed_u=e[:, :nu], y=e[:, nu:])
@@ -411,7 +403,7 @@ def _minimised(
     system_of: Callable[[Array], list[Array]],
     refinement: Refinement,
     context: Context,
-) -> tuple[Array, Response | LongResponse, float]:
+) -> tuple[Array, Response, float]:
     """Minimise the simulation error over the parameters of a system and its initial states.
 
     Args:
@@ -428,13 +420,13 @@ def _minimised(
     """
     driven, size = DrivenRecords(records), theta0.size
     start = np.concatenate([theta0, np.zeros(len(records) * states)])
-    known: dict[bytes, Response | LongResponse] = {}
+    known: dict[bytes, Response] = {}
 
-    def response(point: Array) -> Response | LongResponse:
+    def response(point: Array) -> Response:
         if point.tobytes() not in known:
             known.clear()
             x0 = point[size:].reshape(len(records), states)
-            known[point.tobytes()] = driven.summed(LinearSystem(*system_of(point[:size])), x0)
+            known[point.tobytes()] = driven.response(LinearSystem(*system_of(point[:size])), x0)
         return known[point.tobytes()]
 
     def cost(points: Array) -> Array:

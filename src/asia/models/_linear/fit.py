@@ -24,7 +24,7 @@ from asia.models._least_squares import (
     minimise,
     solve_or_fit,
 )
-from asia.models._linear.response import DrivenRecords, LongResponse, Response
+from asia.models._linear.response import DrivenRecords, Response
 from asia.models._linear.system import LinearSystem, unpacked
 from asia.models._noise.model import (
     LEAST_DEVIATION,
@@ -34,7 +34,7 @@ from asia.models._noise.model import (
     estimate_noise,
     settled,
 )
-from asia.models._numerics.encoder import BlockedRidge, Encoder, window_encoder
+from asia.models._numerics.encoder import Encoder, window_encoder
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import (
     ScaledData,
@@ -43,7 +43,6 @@ from asia.models._numerics.training_records import (
     past_length,
     past_windows,
     side_by_side,
-    window_rows,
 )
 
 if TYPE_CHECKING:
@@ -324,18 +323,13 @@ def unseen_errors(
     The segments start from their own past windows, as the model will be used.
     """
     past = past_length(context)
-    splits: list[tuple[ScaledData, ScaledData, BlockedRidge]] = []
-    for kept, left in contiguous_splits(records, 3, 2 * past + 4 * max(orders)):
-        long = [r for r in kept if len(r) > past]
-        rows = window_rows(long, context)
-        shown = [past_windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
-        splits.append((kept, left, BlockedRidge(np.concatenate(shown))))
+    splits = contiguous_splits(records, 3, 2 * past + 4 * max(orders))
     errors: list[float] = []
     for order in tracked(orders, "order"):
         logs: list[float] = []
-        for kept, left, regression in splits:
+        for kept, left in splits:
             candidate = fit(kept, order, refinement)
-            encoder = encoder_of(kept, candidate, context, regression)
+            encoder = encoder_of(kept, candidate, context)
             count = sum(float(r.counts[past:].sum()) for r in left)
             error = unseen_error(left, candidate, encoder, context) / max(count, 1.0)
             logs.append(np.log(error + 1e-300))
@@ -343,16 +337,11 @@ def unseen_errors(
     return errors
 
 
-def encoder_of(
-    records: ScaledData,
-    fitted: LinearFit,
-    context: Context,
-    regression: BlockedRidge | None = None,
-) -> Encoder:
+def encoder_of(records: ScaledData, fitted: LinearFit, context: Context) -> Encoder:
     """Map from a past window to the state, learned from the model's own states on the records of
-    the fit; `regression` is that on the past windows of these records, if it is known."""
-    response = DrivenRecords(records).summed(fitted.system, fitted.x0)
-    return window_encoder(records, response.states_of, context, regression=regression)
+    the fit."""
+    response = DrivenRecords(records).response(fitted.system, fitted.x0)
+    return window_encoder(records, response.states_of, context)
 
 
 def unseen_error(
@@ -376,14 +365,14 @@ def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
     n, nu, ny = len(a), records[0].u.shape[1], records[0].y.shape[1]
     zero = LinearSystem(a, np.zeros((n, nu)), c, np.zeros((ny, nu)), np.zeros(ny))
     driven = DrivenRecords(records)
-    at_zero = driven.summed(zero, np.zeros((len(records), n)))
+    at_zero = driven.response(zero, np.zeros((len(records), n)))
     normal, gradient = at_zero.normal_equations(poles=False)
     theta = damped_step(normal, -gradient, 1e-8)
     b, d, offset, x0 = unpacked(theta, [(n, nu), (ny, nu), (ny,), (len(records), n)])
-    return normalised(driven.summed(LinearSystem(a, b, c, d, offset), x0))
+    return normalised(driven.response(LinearSystem(a, b, c, d, offset), x0))
 
 
-def normalised(response: Response | LongResponse) -> LinearFit:
+def normalised(response: Response) -> LinearFit:
     """Scale the states to unit mean square over the training records.
 
     Full whitening would mix states of very different energy and lose accuracy.
@@ -409,7 +398,7 @@ def refined_under_noise(
     if choice is None:
         return found
     for _ in range(NOISE_ROUNDS):
-        response = DrivenRecords(records).summed(found.system, found.x0)
+        response = DrivenRecords(records).response(found.system, found.x0)
         residual = side_by_side([response.misfit(i) for i in range(len(records))])
         mask = side_by_side([r.weight for r in records])
         floor = np.full(residual.shape[-1], LEAST_DEVIATION)
@@ -448,13 +437,13 @@ def refine(
     shapes = [p.shape for p in arrays]
     theta0 = np.concatenate([p.ravel() for p in arrays])
     # Last simulation, with its parameters.
-    known = theta0, driven.summed(s, start.x0)
+    known = theta0, driven.response(s, start.x0)
 
-    def response(theta: Array) -> Response | LongResponse:
+    def response(theta: Array) -> Response:
         nonlocal known
         if not np.array_equal(theta, known[0]):
             *system, x0 = unpacked(theta, shapes)
-            known = theta, driven.summed(LinearSystem(*system), x0)
+            known = theta, driven.response(LinearSystem(*system), x0)
         return known[1]
 
     def cost(points: Array) -> Array:
@@ -560,9 +549,6 @@ _MOST_ENTRIES = 150
 # Greatest distance from the minimum in standard errors: a fit further away minimises another cost.
 _NEAR = 0.5
 
-# Least number of samples for a simulation by convolution.
-_LONG = 65_536
-
 
 def system_estimates(
     system: LinearSystem,
@@ -612,10 +598,7 @@ def system_estimates(
 
 def _errors(system: LinearSystem, record: ScaledTrajectory, x0: Array) -> Array:
     """Simulated minus measured outputs (T, ny)."""
-    samples = len(record.u)
-    if samples <= _LONG:
-        return system.simulate(x0[None], record.u[None])[1][0] - record.y
-    return -LongResponse([record], float(record.y.size), system, x0[None]).misfit(0)
+    return -DrivenRecords([record]).response(system, x0[None]).misfit(0)
 
 
 _INTEGRATOR = 1e-6

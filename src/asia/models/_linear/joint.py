@@ -109,7 +109,7 @@ def fit_jointly(
     for one in responses if not refinement.integrators else ():
         for matrices in response_starts(one.z, one.response, one.weight, n)[:1]:
             system = LinearSystem(*matrices, np.zeros(len(matrices[2])))
-            error = DrivenRecords(records).summed(system, nothing).error
+            error = DrivenRecords(records).response(system, nothing).error
             starts.append(LinearFit(system, nothing, error))
     found = [_refined(records, responses, one, refinement) for one in starts]
     return min(found, key=lambda pair: pair[1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ from asia.models._numerics.training_records import (
     past_windows_before,
     spread,
 )
+
+if TYPE_CHECKING:
+    from asia.models.linear import Config
 
 # Excited lines of periodic records, with all realisations compressed to few columns.
 
@@ -301,20 +304,10 @@ _WINDOW_NUMBERS, _MOST_WINDOWS = 6_000_000, 20_000
 _STEP = 0.12
 
 
-@dataclass(frozen=True)
-class PeriodicChoice:
-    """Order, or limits of its choice."""
-
-    order: int | None
-    """Number of states; None takes the smallest whose error at lines left out is near the least."""
-    most: int  # Greatest order tried
-    tolerance: float  # Relative tolerance of that choice, of the root
-
-
 def fit_periodic(
     records: ScaledData,
     context: Context,
-    choice: PeriodicChoice,
+    config: Config,
     iterations: int,
     log: Progress | None = None,
 ) -> tuple[LinearSystem, Encoder] | None:
@@ -326,7 +319,7 @@ def fit_periodic(
     lines = lines_of(steady)
     if len(lines.z) < FEWEST_LINES:
         return None
-    order = choice.order or _chosen_order(lines, choice.most, choice.tolerance)
+    order = config.order or _chosen_order(lines, config.periodic_order, config.tolerance)
     found = None if order is None else _started(lines, [order]).get(order)
     if found is None:
         return None

@@ -76,12 +76,12 @@ def fit_regularised(
         return None
     # Initial states of the records, with which the encoder learns from the states.
     zero = np.zeros((len(records), system.order))
-    normal, gradient = DrivenRecords(records).summed(system, zero).normal_equations(poles=False)
+    normal, gradient = DrivenRecords(records).response(system, zero).normal_equations(poles=False)
     last = zero.size
     ridge = _INITIAL_RIDGE * np.eye(last)
     found = solve_or_fit(normal[-last:, -last:] + ridge, gradient[-last:])
     x0 = found.reshape(zero.shape)
-    response = DrivenRecords(records).summed(system, x0)
+    response = DrivenRecords(records).response(system, x0)
     context.log(0, float(np.sqrt(response.error)))
     return system, encoder_of(records, LinearFit(system, x0, response.error), context)
 

@@ -21,7 +21,7 @@ from asia.models._networks.objective import (
     objective,
     started,
 )
-from asia.models._networks.structure import Cell, NetworkStructure, Params, Penalised
+from asia.models._networks.structure import NetworkStructure, Params, Penalised
 from asia.models._numerics.segments import (
     Places,
     Simulations,
@@ -29,7 +29,6 @@ from asia.models._numerics.segments import (
     laid,
     places,
     random_chunks,
-    tracks,
     whole,
 )
 from asia.models._numerics.training_records import PaddedBatch
@@ -42,7 +41,6 @@ class AdamState(NamedTuple):
     trained: AnyArray  # Parameters that change, in one vector
     optimiser: Any  # State of the optimiser
     average: AnyArray | None  # Moving average of the parameters, or None
-    carried: Any  # State of the cell at the end of the last chunks, or None
     loss: AnyArray  # Sum of the loss over the steps since the last check
     taken: AnyArray  # Number of these steps
 
@@ -65,8 +63,6 @@ def run(
     data: Simulations | Places
     if length is None:
         data = whole(batch)
-    elif method.carry:
-        data = tracks(batch, length, method.batch, method.washout)
     elif method.full_batch:
         data = laid(batch, length)
     else:
@@ -76,12 +72,9 @@ def run(
     program, numbers = AdamProgram.of(method, length), AdamNumbers.of(method)
     trained, fixed = split(params)
     packing, theta = Packing.of(trained), packed(trained, np.float32)
-    carried = None
-    if isinstance(data, Simulations) and method.carry and isinstance(cell, Cell):
-        carried = jax.tree.map(np.zeros_like, cell.initial(params, data.window))
     average, blank = theta if method.average > 0 else None, np.float32(0.0)
     memory = started(program.optimiser(numbers), theta)
-    state = AdamState(theta, memory, average, carried, blank, blank)
+    state = AdamState(theta, memory, average, blank, blank)
 
     def current() -> Params:
         reached = state.trained if state.average is None else state.average
@@ -130,34 +123,17 @@ def _advance(
 ) -> AdamState:
     rule, root, length = program.optimiser(numbers), jax.random.key(seed), program.length or 1
 
-    def loss_of(trained: jax.Array, carried: Any, step: jax.Array) -> tuple[jax.Array, Any]:
-        params = merged(packing.unpack(trained), fixed)
+    def loss_of(trained: jax.Array, step: jax.Array) -> jax.Array:
+        params, part = merged(packing.unpack(trained), fixed), data
         drawn, shaken = jax.random.split(jax.random.fold_in(root, step))
-        go = partial(forward, cell, program, numbers, params, step=step, key=shaken)
-        if carried is not None and isinstance(cell, Cell) and isinstance(data, Simulations):
-            # Next chunk after the one of the step before; the first of all starts anew.
-            index = step % (data.u.shape[1] // length)
-            cut = partial(
-                jax.lax.dynamic_slice_in_dim, start_index=index * length, slice_size=length, axis=1
-            )
-            part = Simulations(data.window, cut(data.u), cut(data.y), cut(data.weight))
-            initial = cell.initial(params, part.window)
-            y, last = go(part, state=either(index == 0, initial, carried))
-            error = objective(program.loss, y - part.y, part.weight, 0, program.horizons, whiten)
-            error = error + _penalty(cell, params)
-            return error, jax.lax.stop_gradient(last)
-        part = data
         if isinstance(part, Places):
             part = random_chunks(part, length, program.batch, drawn)
-        residual = go(part)[0] - part.y
-        error = objective(
-            program.loss, residual, part.weight, numbers.washout, program.horizons, whiten
-        )
-        return error + _penalty(cell, params), carried
+        y = forward(cell, program, numbers, params, part, step=step, key=shaken)
+        error = objective(program.loss, y - part.y, part.weight, program.horizons, whiten)
+        return error + (cell.penalty(params) if isinstance(cell, Penalised) else 0.0)
 
     def update(step: jax.Array, state: AdamState) -> AdamState:
-        gradient_of = jax.value_and_grad(loss_of, has_aux=True)
-        (loss, carried), gradient = gradient_of(state.trained, state.carried, step)
+        loss, gradient = jax.value_and_grad(loss_of)(state.trained, step)
         change, memory = rule.update(gradient, state.optimiser, state.trained)
         pace = program.scheduled(numbers, rate, step)
         trained = state.trained + pace * cast(jax.Array, change)
@@ -165,12 +141,8 @@ def _advance(
         if average is not None:
             slow = jnp.minimum(numbers.average, (1.0 + step) / (10.0 + step))
             average = slow * average + (1.0 - slow) * trained
-        moved = AdamState(trained, memory, average, carried, state.loss + loss, state.taken + 1.0)
+        moved = AdamState(trained, memory, average, state.loss + loss, state.taken + 1.0)
         return either(all_finite(gradient), moved, state)
 
     blank = jnp.zeros((), jnp.float32)
     return jax.lax.fori_loop(*span, update, state._replace(loss=blank, taken=blank))
-
-
-def _penalty(cell: NetworkStructure, params: Params) -> jax.Array | float:
-    return cell.penalty(params) if isinstance(cell, Penalised) else 0.0

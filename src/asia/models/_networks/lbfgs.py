@@ -5,7 +5,7 @@ float32.
 """
 
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +21,6 @@ from asia.models._numerics.training_records import PaddedBatch
 from asia.models.methods import LBFGS, Loss
 
 Vector: TypeAlias = np.ndarray[Any, Any]
-
-
-class LBFGSNumbers(NamedTuple):
-    """Numbers of `methods.LBFGS` that a loss reads: arguments of its program."""
-
-    ridge: Number
-    washout: Number
 
 
 def run(
@@ -49,9 +42,10 @@ def run(
     trained, fixed = split(params)
     packing = Packing.of(trained)
     data = _double(whole(batch) if length is None else laid(batch, length))
-    numbers = LBFGSNumbers(method.ridge, method.washout)
     whiten = None if whiten is None else _double(whiten)
-    value_of = partial(_value, cell, method.loss, packing, numbers, data, _double(fixed), whiten)
+    value_of = partial(
+        _value, cell, method.loss, packing, method.ridge, data, _double(fixed), whiten
+    )
     # The best point, and its loss.
     best, lowest = packed(trained, np.float64), float("inf")
 
@@ -109,7 +103,7 @@ def _value(
     cell: NetworkStructure,
     loss: Loss,
     packing: Packing,
-    numbers: LBFGSNumbers,
+    ridge: Number,
     data: Simulations,
     fixed: Any,
     whiten: NoiseWeighting | None,
@@ -122,7 +116,7 @@ def _value(
         penalty = sum(
             (jnp.sum(v**2) for v in jax.tree.leaves(trained) if v.ndim >= 2), jnp.zeros(())
         )
-        error = objective(loss, residual, data.weight, numbers.washout, None, whiten)
-        return error + numbers.ridge * penalty
+        error = objective(loss, residual, data.weight, None, whiten)
+        return error + ridge * penalty
 
     return jax.value_and_grad(loss_of)(flat)

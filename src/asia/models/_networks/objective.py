@@ -93,7 +93,6 @@ class AdamNumbers(NamedTuple):
     teacher: Number
     teacher_end: Number
     average: Number
-    washout: Number
     offset: Number
 
     @classmethod
@@ -159,7 +158,6 @@ def objective(
     loss: Loss,
     residual: jax.Array,
     weight: jax.Array,
-    washout: Number = 0,
     horizons: tuple[int, ...] | None = None,
     whiten: NoiseWeighting | None = None,
 ) -> jax.Array:
@@ -169,12 +167,10 @@ def objective(
         loss: loss of a number.
         residual: (B, T, ny).
         weight: (B, T, ny).
-        washout: samples at the start that do not count.
         horizons: average over h of the loss of the first h samples.
         whiten: compute the loss of innovations.
     """
     length = residual.shape[1]
-    weight = weight * (jnp.arange(length) >= washout)[:, None]
     if whiten is not None:
         residual = whiten(residual, weight)
     if loss == "mae":
@@ -203,11 +199,6 @@ def check_structure(cell: NetworkStructure, params: Params, method: Adam) -> Non
             "Adam: teacher is for networks that feed back their own output, and this one does "
             "not; leave teacher and teacher_end at 0"
         )
-    if method.carry and (isinstance(cell, SequenceMap) or not isinstance(cell, Cell)):
-        raise UserError(
-            "Adam: carry is for networks with a state, and this one computes all samples at once; "
-            "leave carry out"
-        )
     if method.dropout > 0 and _drops_weights(cell) and "out_w" not in params:
         raise UserError(
             "Adam: dropout needs an output layer, and this network has none; leave dropout at 0"
@@ -223,10 +214,8 @@ def forward(
     *,
     step: jax.Array,
     key: jax.Array,
-    state: Any = None,
-) -> tuple[jax.Array, Any]:
-    """Simulate a network in training: outputs (B, T, ny) and the state after the last sample, None
-    of a structure without one."""
+) -> jax.Array:
+    """Simulate a network in training: outputs (B, T, ny)."""
     noisy, dropped, fed_by = jax.random.split(key, 3)
     u = data.u
     if program.noisy:
@@ -238,7 +227,7 @@ def forward(
         weights = params["out_w"]
         params = {**params, "out_w": weights * _kept(numbers, (len(weights), 1), dropped)}
     if isinstance(cell, SequenceMap):
-        return cell.sequence(params, data.window, u), None
+        return cell.sequence(params, data.window, u)
     fed = None
     if program.fed:
         # Probability that a measured output is fed back.
@@ -246,18 +235,17 @@ def forward(
         chosen = jax.random.bernoulli(fed_by, teacher, data.weight.shape[:2])
         mask = chosen[..., None] & (data.weight > 0)
         fed = Fed(data.y, mask.astype(u.dtype))
-    if state is None and isinstance(cell, Augmented):
-        state = cell.initial(params, data.window)
-        state = cell.drawn(params, state, jax.random.fold_in(key, _DRAWN))
     if isinstance(cell, FeatureMap):
-        features, state = cell.features(params, data.window, u), None
+        features = cell.features(params, data.window, u)
     else:
-        start = cell.initial(params, data.window) if state is None else state
-        features, state = scan(cell, params, start, u, fed)
+        start = cell.initial(params, data.window)
+        if isinstance(cell, Augmented):
+            start = cell.drawn(params, start, jax.random.fold_in(key, _DRAWN))
+        features = scan(cell, params, start, u, fed)[0]
     if program.dropped and not _drops_weights(cell):
         shape = (features.shape[0], 1, features.shape[2])
         features = features * _kept(numbers, shape, dropped)
-    return cell.output(params, features, u), state
+    return cell.output(params, features, u)
 
 
 def scan(

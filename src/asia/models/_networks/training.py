@@ -128,7 +128,7 @@ def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkM
     if choice is None:
         return _Start(params, method)
     half = max(1, method.steps // 2)
-    plain = replace(method, steps=half, noise_model="white", slow_time=None, huber=None, stop=None)
+    plain = replace(method, steps=half, noise_model="white", huber=None, stop=None)
     params = _run(task, samples, _Start(params, plain), half, Monitor(plain, task.log))
     data = _simulations(task, samples)
     y = np.asarray(_rollout(task.structure, params, data.window, data.u))

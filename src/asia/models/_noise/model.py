@@ -37,11 +37,6 @@ class NoiseSettings(Protocol):
         ...
 
     @property
-    def slow_time(self) -> float | None:
-        """Time constant of the slow part of the noise in s; None estimates it."""
-        ...
-
-    @property
     def huber(self) -> float | None:
         """Threshold on the innovations in their deviations; None is least squares."""
         ...
@@ -53,8 +48,6 @@ class NoiseChoice:
 
     slow: bool
     """The noise has a slow part."""
-    time: float | None = None
-    """Time constant of the slow part in s; None estimates it."""
     huber: float | None = None
     """Threshold on the innovations, in their deviations, beyond which their cost grows in
     proportion to them; None is least squares."""
@@ -65,20 +58,14 @@ class NoiseChoice:
         slow = method.noise_model == "slow"
         if not slow and method.huber is None:
             return None
-        return cls(slow, method.slow_time, method.huber)
+        return cls(slow, method.huber)
 
 
 def check_noise(method: NoiseSettings) -> None:
     """Check the noise settings of a method. Raises UserError if a setting is out of its range."""
     check_choice(method, "noise_model", get_args(NoiseKind))
-    for name in ("slow_time", "huber"):
-        value = getattr(method, name)
-        demand(method, name, value is None or value > 0, "None or a positive number")
-    if method.slow_time is not None and method.noise_model != "slow":
-        raise UserError(
-            f"{owner(method)}: slow_time is the time constant of a slow disturbance; set "
-            'noise_model to "slow" with it, or leave it out'
-        )
+    huber = method.huber
+    demand(method, "huber", huber is None or huber > 0, "None or a positive number")
 
 
 def refuse_noise(method: NoiseSettings, place: str) -> None:
@@ -93,8 +80,8 @@ def refuse_noise(method: NoiseSettings, place: str) -> None:
     """
     if NoiseChoice.of(method) is not None:
         raise UserError(
-            f"{place}: cannot weigh errors by a noise model; leave noise_model, slow_time and "
-            f"huber out of {owner(method)}"
+            f"{place}: cannot weigh errors by a noise model; leave noise_model and huber "
+            f"out of {owner(method)}"
         )
 
 
@@ -235,8 +222,6 @@ def estimate_noise(
     # model favour.
     longest = max(0.25 * float((mask > 0).sum(axis=1).max()), 20.0)
     times = (3.0 * sampling_time, longest * sampling_time)
-    if choice.time is not None:
-        times = (choice.time, choice.time)
     ratios = (0.1, 100.0)
     # A grid in the logarithms, then four grids around the best candidate, each with half the
     # spacing.
@@ -258,7 +243,6 @@ def estimate_noise(
         points = np.clip(at[:, None] + (around * spacing[:, None])[:, :, None], low, high)
     likelihood, size = values[best, outputs], sizes[best, outputs]
     time, ratio = np.exp(at)
-    time = time if choice.time is None else np.full_like(time, choice.time)
     size = np.maximum(size, floor / np.sqrt(1.0 + ratio**2))
     better = plain[0] - likelihood > np.log(samples)
     return ResidualNoise(

@@ -17,7 +17,6 @@ from asia.models._numerics.training_records import (
     Indices,
     ScaledData,
     past_length,
-    past_windows,
     past_windows_before,
     window_rows,
     window_size,
@@ -55,68 +54,11 @@ def affine(weights: Array, bias: Array) -> Encoder:
     return Encoder(weights, bias, np.zeros((inputs, 0)), np.zeros(0), np.zeros((0, outputs)))
 
 
-def fit_encoder(
-    features: Sequence[Array],
-    states: Sequence[Array],
-    hidden: int = 0,
-    seed: int = 0,
-    regression: BlockedRidge | None = None,
-) -> Encoder:
-    """Ridge regression of states (N_r, n) of each record on features (N_r, d) and on `hidden`
-    random tanh functions of them.
-
-    The ridge and whether the tanh functions are used at all are chosen by prediction of
-    contiguous blocks left out: neighbouring windows overlap, so leaving out single samples would
-    choose too small a ridge. `regression` is that on the features, if it is known.
-    """
-    x, y = np.concatenate(features), np.concatenate(states)
-    if x.shape[1] == 0:
-        return affine(np.zeros((0, y.shape[1])), y.mean(axis=0))
-    plain, plain_error = (regression or BlockedRidge(x)).solved(y)
-    without = affine(*plain)
-    if hidden == 0:
-        return without
-    inner, shift = random_bend(x.shape[1], hidden, seed)
-    both = BlockedRidge(np.concatenate([x, np.tanh(x @ inner + shift)], 1))
-    (weights, bias), error = both.solved(y)
-    if error >= plain_error:
-        return without
-    return Encoder(weights[: x.shape[1]], bias, inner, shift, weights[x.shape[1] :])
-
-
 def random_bend(inputs: int, hidden: int, seed: int) -> tuple[Array, Array]:
     """Weights (inputs, hidden) and shifts (hidden,) of random tanh functions."""
     rng = np.random.default_rng(seed)
     inner = rng.standard_normal((inputs, hidden)) / np.sqrt(inputs)
     return inner, rng.uniform(-1.0, 1.0, hidden)
-
-
-class BlockedRidge:
-    """Ridge regressions on the same features x (N, d), the ridge chosen by contiguous blocks left
-    out; the decompositions, which do not depend on the target, are computed once."""
-
-    def __init__(self, x: Array) -> None:
-        self._center = x.mean(axis=0)
-        self._x = x - self._center
-        self._ridges, self._parts = ridges_for(len(x)), min(8, len(x))
-        gram = self._x.T @ self._x
-        self._whole = _decomposed(gram)
-        # Each block, and the decomposition without it.
-        parts = np.array_split(self._x, self._parts)
-        self._blocks = [(xb, _decomposed(gram - xb.T @ xb)) for xb in parts]
-
-    def solved(self, y: Array) -> tuple[tuple[Array, Array], float]:
-        """Solve for a target: weights (d, n) and bias (n,), and the squared error of the blocks
-        left out."""
-        mean = y.mean(axis=0)
-        y = y - mean
-        errors, cross = np.zeros(len(self._ridges)), self._x.T @ y
-        for (xb, decomposed), yb in zip(self._blocks, np.array_split(y, self._parts), strict=True):
-            paths = _ridge_path(decomposed, cross - xb.T @ yb, self._ridges)
-            errors += [float(((xb @ weights - yb) ** 2).sum()) for weights in paths]
-        best = int(np.argmin(errors))
-        (weights,) = _ridge_path(self._whole, cross, self._ridges[best : best + 1])
-        return (weights, mean - self._center @ weights), float(errors[best])
 
 
 def ridges_for(samples: int) -> Array:
@@ -136,11 +78,7 @@ def _ridge_path(decomposed: Decomposed, cross: Array, ridges: Array) -> list[Arr
     return [vectors @ (projected / (values + r)[:, None]) for r in ridges]
 
 
-# Regression of the initial state on the past window, from a model's own states on its records.
-#
-# See `asia.models._numerics.encoder`; on long records it goes block by block.
-
-# Numbers in the past windows above which records are processed in blocks, and windows of a block.
+# Numbers in the past windows above which they are not stored, and windows of a block.
 _LONG, _BLOCK = 2_000_000, 4096
 _PARTS = 8
 
@@ -150,34 +88,33 @@ Pairs: TypeAlias = Callable[[], Iterator[tuple[Array, Array]]]
 """Iterations over features (N, d) and states (N, n), block by block and each time the same."""
 
 
+def fit_encoder(
+    features: Sequence[Array], states: Sequence[Array], hidden: int = 0, seed: int = 0
+) -> Encoder:
+    """Ridge regression of states (N_r, n) of each record on features (N_r, d) and on `hidden`
+    random tanh functions of them.
+
+    The ridge and whether the tanh functions are used at all are chosen by prediction of
+    contiguous blocks left out: neighbouring windows overlap, so leaving out single samples would
+    choose too small a ridge.
+    """
+    return _fitted(lambda: zip(features, states, strict=True), hidden, seed)
+
+
 def window_encoder(
-    records: ScaledData,
-    states_of: StatesOf,
-    context: Context,
-    hidden: int = 0,
-    seed: int = 0,
-    regression: BlockedRidge | None = None,
+    records: ScaledData, states_of: StatesOf, context: Context, hidden: int = 0, seed: int = 0
 ) -> Encoder:
     """Map from a past window to the state, as `fit_encoder` finds it, from the states of each
-    record, block by block; `regression` is that on the past windows of these records, if it is
-    known."""
+    record, block by block."""
     past = past_length(context)
     long = [i for i, r in enumerate(records) if len(r) > past]
     rows = window_rows([records[i] for i in long], context)
     numbers = sum(len(records[i]) for i in long) * (window_size(context) + hidden)
-    if regression is None and numbers > _LONG:
-        pairs = partial(
-            _window_pairs, records, dict(zip(long, rows, strict=True)), states_of, context
-        )
-        return _fitted_by_blocks(pairs, hidden, seed)
-    each = list(zip(long, rows, strict=True))
-    return fit_encoder(
-        [past_windows(records[i], context)[at] for i, at in each],
-        [np.concatenate(list(states_of(i)))[past:][at] for i, at in each],
-        hidden,
-        seed,
-        regression,
-    )
+    pairs = partial(_window_pairs, records, dict(zip(long, rows, strict=True)), states_of, context)
+    if numbers > _LONG:
+        return _fitted(pairs, hidden, seed)
+    stored = list(pairs())
+    return _fitted(lambda: iter(stored), hidden, seed)
 
 
 def _window_pairs(
@@ -198,8 +135,7 @@ def _window_pairs(
             first = stop
 
 
-def _fitted_by_blocks(pairs: Pairs, hidden: int, seed: int) -> Encoder:
-    """Fit an encoder as `fit_encoder` does, block by block."""
+def _fitted(pairs: Pairs, hidden: int, seed: int) -> Encoder:
     d = next(pairs())[0].shape[1]
     plain = _Sums.of(pairs)
     if d == 0:
@@ -249,7 +185,8 @@ class _Sums(NamedTuple):
 
 
 def _solved(pairs: Pairs, sums: _Sums) -> tuple[Array, Array, float]:
-    """Weights (d, n), bias (n,) and the squared error of the parts left out, as `BlockedRidge`."""
+    """Weights (d, n), bias (n,) and the squared error of the parts left out, with the ridge that
+    makes it least."""
     d, n = len(sums.x_mean), len(sums.y_mean)
     grams, crosses = np.zeros((_PARTS, d, d)), np.zeros((_PARTS, d, n))
     for part, x, y in sums.parts(pairs):

@@ -187,23 +187,6 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     return Simulations(*(np.asarray(a, np.float32) for a in arrays))
 
 
-def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
-    """Cut long segments to be read side by side in chunks of `length` samples: T is a multiple of
-    it. There are about `count` segments of equal length (None: one a record); the loss counts after
-    `washout` samples."""
-    longest = batch.u.shape[1]
-    if count is not None:
-        longest = min(longest, -(-sum(batch.lengths) // count))
-    window, u, y, weight = laid(batch, longest, overlap=False)
-    weight[:, :washout] = 0.0
-    spare = -u.shape[1] % length
-
-    def padded(values: AnyArray) -> AnyArray:
-        return np.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
-
-    return Simulations(window, padded(u), padded(y), padded(weight))
-
-
 def places(batch: PaddedBatch, length: int) -> Places:
     """Permit every start from which a whole chunk fits.
 

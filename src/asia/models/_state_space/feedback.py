@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,12 @@ from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledData, ScaledTrajectory
 from asia.models._reuse import reused
 from asia.models._state_space.fit import StateFit, fit_states, of_records
-from asia.models._state_space.model import FittedStateSpace
+from asia.models._state_space.model import LINEAR_RIDGE, FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models._state_space.training import fit_segments, judge_fit, stability_term
+
+if TYPE_CHECKING:
+    from asia.models.nl_lfr import Config
 
 # Search for the regressors of static functions in feedback, by the residual of the linear model.
 #
@@ -458,19 +461,6 @@ class LinearCore(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FeedbackOptions:
-    """Options of the fits, apart from the method."""
-
-    channels: int  # Number of signals that the functions read, and of those that they give
-    hidden: int  # Number of units
-    ridge: float  # Ridge of the functions
-    linear_ridge: float  # Ridge of the linear system
-    encoder: int  # Number of tanh units of the map from past windows to states
-    integrators: int  # Number of states whose pole is held at 1
-    pieces: bool  # Begin the fits with short segments of the records
-
-
-@dataclass(frozen=True)
 class _Widening:
     """States without effect that are added before the integrators, so that models of several orders
     share compiled programs. They stay without effect: all derivatives by their entries are zero."""
@@ -534,7 +524,7 @@ class _Fit(NamedTuple):
 
 def fit_feedback(
     cores: Sequence[LinearCore],
-    options: FeedbackOptions,
+    options: Config,
     scaling: Scaling,
     context: Context,
     method: LevenbergMarquardt,
@@ -551,20 +541,20 @@ def fit_feedback(
         tried.append(fits.fitted(first.core, first.structure, first.start, whole, fits.first))
     ended = (fits.fitted(one.core, one.structure, one.start, one.now, fits.rest) for one in tried)
     finished = [
-        (one, judge_fit(one.structure, one.now, one.core.records, context, options.encoder, True))
-        for one in ended
+        (one, judge_fit(one.structure, one.now, one.core.records, context, True)) for one in ended
     ]
     best, found = min(finished, key=lambda pair: pair[0].penalty * pair[1].error)
-    starts = () if found.past_fit is None else (found.past_fit,)
-    members = ((found.params, found.encoder),)
-    return FittedStateSpace(best.structure, members, best.core.delay, scaling, None, starts)
+    return FittedStateSpace(
+        best.structure, found.params, found.encoder, best.core.delay, scaling,
+        past_fit=found.past_fit,
+    )  # fmt: skip
 
 
 class _Fits:
     """Fits of one model, with their common settings."""
 
     def __init__(
-        self, options: FeedbackOptions, context: Context, method: LevenbergMarquardt, largest: int
+        self, options: Config, context: Context, method: LevenbergMarquardt, largest: int
     ) -> None:
         """largest: greatest order of the linear models."""
         self.options, self.context, self.method = options, context, method
@@ -604,7 +594,7 @@ class _Fits:
         ]
 
     def _ridges(self, core: LinearCore) -> dict[str, float]:
-        ridge = dict.fromkeys(_LINEAR, self.options.linear_ridge)
+        ridge = dict.fromkeys(_LINEAR, LINEAR_RIDGE)
         ridge |= dict.fromkeys(_FUNCTIONS, self.options.ridge)
         return {**ridge, "x0": core.found.error / sum(len(r) for r in core.records)}
 

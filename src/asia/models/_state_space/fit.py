@@ -26,6 +26,7 @@ from asia.models._noise.model import (
 )
 from asia.models._numerics.encoder import Encoder, window_encoder
 from asia.models._numerics.training_records import ScaledData, past_length, side_by_side
+from asia.models._state_space.model import ENCODER_UNITS
 from asia.models._state_space.programs import (
     CompiledEquations,
     SampleChunks,
@@ -171,7 +172,6 @@ def state_encoder(
     fit: StateFit,
     records: ScaledData,
     context: Context,
-    hidden: int,
 ) -> Encoder:
     """Map from the past window to the state, from the fitted model's own states on the records."""
     states = [
@@ -180,4 +180,6 @@ def state_encoder(
         else np.zeros((0, structure.size))
         for i, r in enumerate(records)
     ]
-    return window_encoder(records, lambda i: iter([states[i]]), context, hidden, context.seed)
+    return window_encoder(
+        records, lambda i: iter([states[i]]), context, ENCODER_UNITS, context.seed
+    )

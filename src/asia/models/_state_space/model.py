@@ -38,11 +38,17 @@ from asia.models._numerics.training_records import (
     window_size,
 )
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models._steps import first_of_line, median, through_line
+from asia.models._steps import first_of_line, through_line
 from asia.models.methods import Adam
 
 if TYPE_CHECKING:
     from asia.models._state_space.fit import StateFit
+
+ENCODER_UNITS = 30
+"""Units of the tanh layer of the map from the past window to the initial state."""
+LINEAR_RIDGE = 1e-7
+"""Weight, against the mean squared error in z-scores, of the squared distance of the linear system
+from its start."""
 
 # Fit of the initial state of a state-space model to the past window.
 #
@@ -74,11 +80,7 @@ def window_samples(context: Context) -> int:
 
 
 def encoder_with_past_fit(
-    structure: StateSpaceStructure,
-    fit: StateFit,
-    records: ScaledData,
-    context: Context,
-    hidden: int,
+    structure: StateSpaceStructure, fit: StateFit, records: ScaledData, context: Context
 ) -> tuple[Encoder, PastFit]:
     """Map from the past window to the state before its last samples, and settings of the fit to
     them."""
@@ -90,7 +92,7 @@ def encoder_with_past_fit(
             features.append(past_windows(record, context)[at])
             states.append(x[0, skip - back : len(record) - back][at])
             errors.append(np.where(record.counts > 0, y[0] - record.y, np.nan))
-    encoder = fit_encoder(features, states, hidden, context.seed)
+    encoder = fit_encoder(features, states, ENCODER_UNITS, context.seed)
     left = np.concatenate([encoder(f) - x for f, x in zip(features, states, strict=True)])
     spread = np.concatenate(states).std(axis=0)
     error, apart = (np.sqrt(np.nanmean(v**2, axis=0)) for v in (left, np.concatenate(errors)))
@@ -153,15 +155,14 @@ class FittedStateSpace:
     """Result of training a neural state-space model."""
 
     structure: StateSpaceStructure  # Equations of the model
-    members: tuple[tuple[dict[str, Any], Encoder], ...]
-    """Parameters as `StateSpaceStructure` reads them, in z-scores, and the map from the past
-    window to the initial state."""
+    params: dict[str, Any]  # Parameters as `StateSpaceStructure` reads them, in z-scores
+    encoder: Encoder  # Map from the past window to the initial state
     delay: int  # Delay of the inputs, in samples
     scaling: Scaling  # Scaling from physical units to z-scores
     turns: SignalTransformations | None = None
     """Symmetries over which simulations are averaged; None: none."""
-    starts: tuple[PastFit, ...] = ()
-    """Fit of the initial state of each member to the past window; () where the encoder gives it."""
+    past_fit: PastFit | None = None
+    """Fit of the initial state to the past window; None where the encoder gives it."""
     transport: Transport | None = None
     """Transport of the inputs to their place of action; None: at once."""
 
@@ -178,19 +179,19 @@ class FittedStateSpace:
         return self.turns.averaged(self._simulated, past_u, past_y, u)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """States of the members and the inputs that the delay holds back; before them the
-        content of the pipe, where there is one."""
+        """State and the inputs that the delay holds back; before them the content of the pipe,
+        where there is one."""
         if self.transport is not None:
             pipe, leaving, acting = _entered(self.transport, past_u, u)
             return pipe, replace(self, transport=None).initial(leaving, past_y, acting)
         if self.turns is not None:
             return self.turns.initial(replace(self, turns=None), past_u, past_y, u)
         past, first = self.scaling.inputs(past_u), self.scaling.inputs(u)
-        starts = self._starts(past, self.scaling.outputs(past_y), first)
-        return starts, first_of_line(past, first, self.delay)
+        start = self._start(past, self.scaling.outputs(past_y), first)
+        return start, first_of_line(past, first, self.delay)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample; the output is the median over the members."""
+        """Advance by one sample."""
         if self.transport is not None:
             pipe, inner = state
             pipe, acting = _through(self.transport, pipe, u)
@@ -198,44 +199,27 @@ class FittedStateSpace:
             return (pipe, inner), y
         if self.turns is not None:
             return self.turns.step(replace(self, turns=None), state, u)
-        structure, (states, line) = self.structure, state
+        structure, params, (x, line) = self.structure, self.params, state
         line, acting = through_line(line, self.scaling.inputs(u))
-        after, outputs = list[AnyArray](), list[AnyArray]()
-        for x, (params, _) in zip(states, self.members, strict=True):
-            x, w = structure.split(params, x, structure.input(params, acting))
-            after.append(x)
-            outputs.append(structure.output(params, w))
-        return (after, line), self.scaling.physical(median(outputs))
+        x, w = structure.split(params, x, structure.input(params, acting))
+        return (x, line), self.scaling.physical(structure.output(params, w))
 
-    def _starts(self, past: AnyArray, y: AnyArray, u: AnyArray) -> list[AnyArray]:
-        """State of each member (B, n) at the first sample from z-scored past inputs (B, n_past_u,
-        nu), past outputs y (B, n_past_y, ny) and the first input u (B, nu)."""
-        features = flat_past(past, y)
-        if self.structure.lags is not None:
-            return [features @ self.structure.lags.selection()] * len(self.members)
+    def _start(self, past: AnyArray, y: AnyArray, u: AnyArray) -> AnyArray:
+        """State (B, n) at the first sample from z-scored past inputs (B, n_past_u, nu), past
+        outputs y (B, n_past_y, ny) and the first input u (B, nu)."""
+        x, fit = self.encoder(flat_past(past, y)), self.past_fit
+        if fit is None:
+            return x
         known = namespace(past, u).concatenate([past, u[:, None]], axis=1)
-        states: list[AnyArray] = []
-        for i, (params, encoder) in enumerate(self.members):
-            x = encoder(features)
-            if i < len(self.starts):
-                past_fit = self.starts[i]
-                rows = np.arange(past.shape[1] - past_fit.samples, past.shape[1] + 1) - self.delay
-                held = known[:, np.maximum(rows, 0)]
-                x = fitted_state(
-                    self.structure, params, past_fit, x, held, y[:, -past_fit.samples :]
-                )
-            states.append(x)
-        return states
+        rows = np.arange(past.shape[1] - fit.samples, past.shape[1] + 1) - self.delay
+        held = known[:, np.maximum(rows, 0)]
+        return fitted_state(self.structure, self.params, fit, x, held, y[:, -fit.samples :])
 
     def _simulated(self, past_u: Array, past_y: Array, u: Array) -> Array:
         past, future = self.scaling.inputs(past_u), self.scaling.inputs(u)
-        starts = self._starts(past, self.scaling.outputs(past_y), future[:, 0])
+        start = self._start(past, self.scaling.outputs(past_y), future[:, 0])
         inputs, cell = delayed(past, future, self.delay), _StartedCell(self.structure)
-        outputs = [
-            outputs_of(cell, params, x, inputs)
-            for (params, _), x in zip(self.members, starts, strict=True)
-        ]
-        return self.scaling.physical(median(outputs))
+        return self.scaling.physical(outputs_of(cell, self.params, start, inputs))
 
 
 @dataclass(frozen=True)
@@ -327,12 +311,10 @@ def _through(transport: Transport, pipe: Any, u: AnyArray) -> tuple[Any, AnyArra
 # Fit of a neural state-space model by Adam, with its map from past windows to states.
 
 
-def encoded(
-    params: dict[str, Any], start: Encoder, hidden: int, context: Context
-) -> dict[str, Any]:
-    """Add an encoder that starts as `start`, with `hidden` tanh functions without effect."""
+def encoded(params: dict[str, Any], start: Encoder, context: Context) -> dict[str, Any]:
+    """Add an encoder that starts as `start`, with tanh functions without effect."""
     rng = np.random.default_rng(context.seed + 1)
-    d = window_size(context)
+    d, hidden = window_size(context), ENCODER_UNITS
     inner = rng.standard_normal((d, hidden)) / np.sqrt(max(d, 1))
     bend = {"inner": inner, "shift": rng.uniform(-1.0, 1.0, hidden)}
     outer = np.zeros((hidden, len(start.bias)))

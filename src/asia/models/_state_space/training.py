@@ -184,27 +184,21 @@ class LmOptions:
     """Options of the fits, apart from the method."""
 
     ridge: dict[str, float]  # Ridge of each top-level parameter name
-    members: int  # Number of fits that are kept
-    hidden: int  # Number of tanh units of the map from past windows to states
     pieces: bool  # Begin the fits with short segments of the records
     past_fit: bool  # Fit initial states to the past window
 
 
-@dataclass(frozen=True)
-class FittedMembers:
-    """Best fits of a model."""
+class JudgedFit(NamedTuple):
+    """Finished fit, judged as it will be used."""
 
-    members: tuple[tuple[dict[str, Any], Encoder], ...]
-    """Parameters, and the map from past windows to states, of each fit."""
-    starts: tuple[PastFit, ...]
-    """Fits of the initial states to the past window; () where the map gives them."""
-    cost: float  # Cost of the first fit
-    error: float
-    """Its mean squared error in z-scores, simulated from the states that past windows give; no
-    other fit has a smaller one."""
+    params: dict[str, Any]
+    encoder: Encoder  # Map from the past window to the initial state
+    past_fit: PastFit | None  # Fit of the initial state to the past window
+    cost: float
+    error: float  # Mean squared error in z-scores of simulations that start from past windows
 
 
-def fit_members(
+def fit_best(
     structure: StateSpaceStructure,
     found: LinearFit,
     records: ScaledData,
@@ -212,9 +206,9 @@ def fit_members(
     context: Context,
     method: LevenbergMarquardt,
     options: LmOptions,
-) -> FittedMembers:
-    """Fit from `method.starts` starting points, one where all are the same. Each start simulates
-    as the linear model.
+) -> JudgedFit:
+    """Best fit from `method.starts` starting points, one where all are the same, by the error from
+    past windows. Each start simulates as the linear model.
 
     A fit with initial states of its own may use an unstable model, which is lost from any other
     state. Fits are repeated with larger ridges, and the stability term, while the best one is
@@ -226,7 +220,7 @@ def fit_members(
     log, time = context.log, context.sampling_time
     term = stability_term(found, structure.integrators, records)
     may_be_unstable = term is None
-    tried: list[tuple[bool, FittedMembers]] = []
+    tried: list[tuple[bool, JudgedFit]] = []
     for stiffer in _STIFFER:
         ridge = {name: stiffer * value for name, value in options.ridge.items()}
         ridge["x0"] = found.error / sum(len(r) for r in records)
@@ -240,29 +234,13 @@ def fit_members(
             # One start begins with whole records, since segments may mislead too.
             whole = starts[:1]
         fits += fit_states(structure, whole, samples, ridge, method, log, time, stability=held)
-        ended = [
-            judge_fit(structure, one, records, context, options.hidden, options.past_fit)
-            for one in fits
-        ]
-        ended.sort(key=lambda one: one.error)
-        best, kept = ended[0], ended[: options.members]
+        ended = (judge_fit(structure, one, records, context, options.past_fit) for one in fits)
+        best = min(ended, key=lambda one: one.error)
         unstable = not (may_be_unstable or is_stable(structure, best.params))
-        members = tuple((one.params, one.encoder) for one in kept)
-        past_fits = tuple(one.past_fit for one in kept if one.past_fit is not None)
-        tried.append((unstable, FittedMembers(members, past_fits, best.cost, best.error)))
+        tried.append((unstable, best))
         if best.error <= _LOST and not unstable:
             break
     return min(tried, key=lambda one: (one[0], one[1].error))[1]
-
-
-class JudgedFit(NamedTuple):
-    """Finished fit, judged as it will be used."""
-
-    params: dict[str, Any]
-    encoder: Encoder  # Map from the past window to the initial state
-    past_fit: PastFit | None  # Fit of the initial state to the past window
-    cost: float
-    error: float  # Mean squared error in z-scores of simulations that start from past windows
 
 
 def judge_fit(
@@ -270,15 +248,14 @@ def judge_fit(
     fit: StateFit,
     records: ScaledData,
     context: Context,
-    hidden: int,
     with_past_fit: bool,
 ) -> JudgedFit:
     """Add the map to the initial state to a fit, and simulate from there. The initial states of the
     fit are free: from any other a state that hardly decays may be far off."""
     if with_past_fit and window_samples(context):
-        encoder, past_fit = encoder_with_past_fit(structure, fit, records, context, hidden)
+        encoder, past_fit = encoder_with_past_fit(structure, fit, records, context)
     else:
-        encoder, past_fit = state_encoder(structure, fit, records, context, hidden), None
+        encoder, past_fit = state_encoder(structure, fit, records, context), None
     error = past_window_error(structure, fit.params, encoder, past_fit, records, context)
     return JudgedFit(fit.params, encoder, past_fit, fit.cost, error)
 

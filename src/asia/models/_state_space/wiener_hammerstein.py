@@ -1,4 +1,4 @@
-"""Wiener-Hammerstein models: structure, filters, starts, search."""
+"""Wiener-Hammerstein models with one input and one output: structure, filters, search."""
 
 from __future__ import annotations
 
@@ -14,17 +14,15 @@ from scipy import signal
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models import linear
-from asia.models._arrays import AnyArray, namespace
+from asia.models._arrays import namespace
 from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise
-from asia.models._linear.fit import Refinement, spread_poles
+from asia.models._linear.fit import Refinement
 from asia.models._linear.system import LinearSystem, unpacked
 from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     holdout_masks,
-    mean_square,
-    regress_outputs,
 )
 from asia.models._state_space.structure import Coefficients, StateSpaceStructure
 
@@ -48,39 +46,15 @@ class WienerHammersteinStructure(StateSpaceStructure):
         )
         return state, two @ p["c2"] + bent @ p["d2"] + p["offset"]
 
-    def function(self, rng: np.random.Generator, size: int) -> dict[str, Any]:
-        """Static function of `size` signals that is zero."""
-        return self._function(rng, size, size)
 
-    def features(self, function: dict[str, Any], signals: Array) -> Array:
-        """Units or monomials (T, m) of signals (T, size)."""
-        count = len(function["w2"])
-        ones = {**function, "w2": np.eye(count)}
-        return np.asarray(self._net(ones, signals), np.float64)
-
-
-# Starts of a Wiener-Hammerstein model.
-#
-# They come from the best linear model of the whole: its poles and zeros are distributed over the
-# two systems in every way, and each way is evaluated with the static function solved by least
-# squares. Source: Schoukens, Pintelon and Rolain, Identification of Wiener-Hammerstein systems by
-# an exhaustive and efficient search, Automatica 50(2), 2014.
+# Distributions of the poles and zeros of a linear system over two filters. Source: Schoukens,
+# Pintelon and Rolain, Identification of Wiener-Hammerstein systems by an exhaustive and efficient
+# search, Automatica 50(2), 2014.
 
 Roots = NDArray[np.complex128]
 
-# Greatest number of distributions of poles and zeros, and samples for the evaluation of one.
-_MOST_SHARES = 200
-_EVALUATION_SAMPLES = 4000
 _SETTLE = 50
 _SLOW, _FREE_ROOT = 0.98, 0.7
-
-
-class WienerHammersteinStart(NamedTuple):
-    """Starting point with its error."""
-
-    structure: WienerHammersteinStructure  # Sizes of the systems
-    params: dict[str, Any]  # Parameters as the structure reads them
-    error: float  # Mean squared error, infinite where it was not evaluated
 
 
 class LinearFilter(NamedTuple):
@@ -89,15 +63,6 @@ class LinearFilter(NamedTuple):
     zeros: Roots  # Zeros
     poles: Roots  # Poles, at least as many
     gain: float  # Factor
-
-    def system(self) -> tuple[Array, Array, Array, Array]:
-        """State-space matrices A, B, C and D."""
-        numerator, denominator = signal.zpk2tf(self.zeros, self.poles, self.gain)
-        if len(self.poles) == 0:
-            static = np.array([[self.gain]])
-            return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), static
-        a, b, c, d = signal.tf2ss(numerator, denominator)
-        return np.asarray(a), np.asarray(b), np.asarray(c), np.asarray(d)
 
     def in_delays(self) -> tuple[Array, Array]:
         """Numerator and denominator in powers of the delay, both as long as the number of poles
@@ -112,44 +77,9 @@ class LinearFilter(NamedTuple):
         return np.asarray(signal.lfilter(*self.in_delays(), u, axis=0), np.float64)
 
 
-def wiener_hammerstein_starts(
-    records: ScaledData,
-    system: LinearSystem,
-    template: WienerHammersteinStructure,
-    rng: np.random.Generator,
-    most: int,
-) -> list[WienerHammersteinStart]:
-    """Find the `most` best starts.
-
-    With one input and output all distributions of poles and zeros compete; with more, the linear
-    model comes before or after the static function, with new modes that do not yet act on the other
-    side.
-    """
-    if template.nu == template.ny == 1:
-        function = template.function(rng, 1)
-        found = [
-            _shared_start(records, system, pair, template, function) for pair in shares(system)
-        ]
-        kept = sorted((s for s in found if s is not None), key=lambda s: s.error)
-        if kept:
-            return kept[:most]
-    n, starts = system.order, list[WienerHammersteinStart]()
-    sized = replace(template, order=2 * n, first=n)
-    whole = (system.a, system.b, system.c, system.d)
-    for size, linear_first in ((template.ny, True), (template.nu, False)):
-        a, _ = spread_poles(n, size)
-        idle = (a, 0.1 * rng.standard_normal((n, size)), np.zeros((size, n)), np.eye(size))
-        pair = (whole, idle) if linear_first else (idle, whole)
-        params = _params(*pair, system.offset, template.function(rng, size))
-        starts.append(WienerHammersteinStart(sized, params, np.inf))
-    return starts[:most]
-
-
-def shares(
-    system: LinearSystem, most: int = _MOST_SHARES
-) -> list[tuple[LinearFilter, LinearFilter]]:
+def shares(system: LinearSystem) -> list[tuple[LinearFilter, LinearFilter]]:
     """Distribute the poles and zeros of a system with one input and one output over a first and
-    a second filter, in at most `most` ways."""
+    a second filter, in at most `_MOST_SPLITS` ways."""
     numerator, denominator, gain = signal.ss2zpk(system.a, system.b, system.c, system.d)
     zeros: Roots = np.array(numerator, complex)
     poles: Roots = np.array(denominator, complex)
@@ -170,7 +100,7 @@ def shares(
         z1, z2 = _parted(zero_groups, choice[len(pole_groups) :])
         if len(z1) <= len(p1) and len(z2) <= len(p2):
             pairs.append((LinearFilter(z1, p1, 1.0), LinearFilter(z2, p2, gain)))
-    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), most)).astype(int)
+    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_SPLITS)).astype(int)
     return [pairs[i] for i in np.unique(chosen)]
 
 
@@ -188,59 +118,6 @@ def _parted(groups: Sequence[Roots], first: Sequence[bool]) -> tuple[Roots, Root
     one = [g for g, mine in zip(groups, first, strict=True) if mine]
     two = [g for g, mine in zip(groups, first, strict=True) if not mine]
     return np.concatenate(empty + one), np.concatenate(empty + two)
-
-
-def _shared_start(
-    records: ScaledData,
-    system: LinearSystem,
-    pair: tuple[LinearFilter, LinearFilter],
-    template: WienerHammersteinStructure,
-    function: dict[str, Any],
-) -> WienerHammersteinStart | None:
-    one, two = pair
-    middles = [one(r.u[:_EVALUATION_SAMPLES]) for r in records]
-    size = float(np.concatenate(middles).std())
-    if not np.isfinite(size) or size < 1e-12:
-        return None
-    one = one._replace(gain=one.gain / size)
-    parts = list[tuple[Array, Array, Array]]()
-    for r, middle in zip(records, middles, strict=True):
-        v = middle / size
-        through = two(np.concatenate([v, template.features(function, v)], axis=1))
-        skip = min(_SETTLE, len(v) // 4)
-        rows = slice(skip, len(v))
-        through = np.concatenate([through, np.ones((len(v), 1))], axis=1)
-        parts.append((through[rows], r.y[rows], r.counts[rows]))
-    x, y, weight = map(np.concatenate, zip(*parts, strict=True))
-    if not np.isfinite(x).all():
-        return None
-
-    def solve(x: Array, y: Array) -> AnyArray:
-        ridge = 1e-6 * np.diag((x**2).sum(axis=0) + 1e-12)
-        return np.linalg.solve(x.T @ x + ridge, x.T @ y)
-
-    theta = regress_outputs(x, y, weight, solve)
-    error = mean_square(x @ theta - y, weight)
-    # The function is the identity plus a bend: the slope of the whole goes to the second system.
-    slope = float(theta[0, 0])
-    slope = slope if abs(slope) > 1e-3 else float(np.copysign(1e-3, slope))
-    bend = {**function, "w2": theta[1:-1] / slope}
-    params = _params(one.system(), two._replace(gain=two.gain * slope).system(), theta[-1], bend)
-    sized = replace(template, order=len(one.poles) + len(two.poles), first=len(one.poles))
-    return WienerHammersteinStart(sized, params, error)
-
-
-def _params(
-    one: tuple[Array, Array, Array, Array],
-    two: tuple[Array, Array, Array, Array],
-    offset: Array,
-    function: dict[str, Any],
-) -> dict[str, Any]:
-    params: dict[str, Any] = {"offset": np.asarray(offset, np.float64), "f": function}
-    for label, system in (("1", one), ("2", two)):
-        for name, matrix in zip("abcd", system, strict=True):
-            params[name + label] = np.ascontiguousarray(matrix.T)
-    return params
 
 
 # Wiener-Hammerstein model with one input and one output as two filters and a static function.
@@ -302,25 +179,27 @@ class TwoFilters(NamedTuple):
     def _fitted(self) -> tuple[Array, ...]:
         return (*self[:2], *self[4:])
 
-    def state_space(
-        self, template: WienerHammersteinStructure
-    ) -> tuple[WienerHammersteinStructure, dict[str, Any]]:
+    def state_space(self) -> tuple[WienerHammersteinStructure, dict[str, Any]]:
         """Convert the model to state space, its initial states unchanged."""
-        systems = list[tuple[Array, Array, Array, Array]]()
-        for numerator, denominator in (
-            (self.numerator1, self.denominator1),
-            (self.numerator2, self.denominator2),
+        params: dict[str, Any] = {
+            "offset": self.offset,
+            "f": {"w1": self.slope[None], "b1": self.shift, "w2": self.bend[:, None]},
+        }
+        for label, numerator, denominator in (
+            ("1", self.numerator1, self.denominator1),
+            ("2", self.numerator2, self.denominator2),
         ):
             # Transposed direct form II.
             n = len(denominator)
             a = np.eye(n, k=1)
             a[:, :1] = -denominator[:, None]
             b = (numerator[1:] - denominator * numerator[0])[:, None]
-            systems.append((a, b, np.eye(1, n), numerator[:1, None]))
-        function = {"w1": self.slope[None], "b1": self.shift, "w2": self.bend[:, None]}
-        first, second = len(self.denominator1), len(self.denominator2)
-        structure = replace(template, order=first + second, first=first, hidden=len(self.bend))
-        return structure, _params(systems[0], systems[1], self.offset, function)
+            system = {"a": a, "b": b, "c": np.eye(1, n), "d": numerator[:1, None]}
+            params |= {k + label: np.ascontiguousarray(v.T) for k, v in system.items()}
+        first, order = len(self.denominator1), len(self.denominator1) + len(self.denominator2)
+        return WienerHammersteinStructure(
+            order, 1, 1, "state", "tanh", len(self.bend), 2, None, first=first
+        ), params
 
 
 class FilterEquations:
@@ -521,7 +400,7 @@ def searched(
     found = list[FilterFit]()
     for delay, system in _linear_models(part, context, choice):
         late = [r.with_delay(delay) for r in kept]
-        evaluated = [_start(late, system, pair, hidden) for pair in shares(system, _MOST_SPLITS)]
+        evaluated = [_start(late, system, pair, hidden) for pair in shares(system)]
         splits = sorted((s for s in evaluated if s is not None), key=lambda s: s[0])
         found += [fitted(filters, delay, _FEW) for _, filters in splits[:_FITTED]]
     best = sorted(found, key=lambda one: one.error)[:_FITTED_ON]

@@ -78,7 +78,7 @@ def test_a_hybrid_and_windows_are_fitted_under_the_noise_model() -> None:
     record = disturbed(5, time=3.0, slow=0.1, white=0.02)
     for context in (CONTEXT, replace(CONTEXT, horizon=40)):
         model = hybrid.build(hybrid.Config(units=2), context)
-        method = replace(SLOW, iterations=5, slow_time=3.0)
+        method = replace(SLOW, iterations=5)
         model = hybrid.train(model, [record], context, method)
         y: Array = model.simulate(record.u[None, :5], record.y[None, :5], record.u[None, 5:])
         assert np.sqrt(np.mean((y[0] - record.y[5:]) ** 2)) < 0.5 * record.y.std()

@@ -23,7 +23,6 @@ from asia.models._linear.fit import (
 )
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
-from asia.models._numerics.encoder import BlockedRidge, fit_encoder
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledTrajectory, scaled
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two
@@ -141,8 +140,9 @@ def test_convolution_gives_the_states_of_the_recursion() -> None:
         for u in (rng.standard_normal((length, 2)) for length in (77, 70, 300, 1))
     ]
     x0 = rng.standard_normal((4, 3))
-    by_convolution = DrivenRecords(records).response(system, x0).states
-    for record, start, states in zip(records, x0, by_convolution, strict=True):
+    response = DrivenRecords(records).response(system, x0)
+    for i, (record, start) in enumerate(zip(records, x0, strict=True)):
+        (states,) = response.states_of(i)
         by_recursion = system.simulate(start[None], record.u[None])[0][0]
         np.testing.assert_allclose(states, by_recursion, atol=1e-10)
 
@@ -199,14 +199,3 @@ def test_families_load_no_scipy() -> None:
 from asia.models import arx, greybox, linear, narx, neural_ss, nl_lfr, recurrent
 sys.exit(any(name in sys.modules for name in ("scipy.signal", "scipy.optimize", "scipy.stats")))"""
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
-
-
-def test_a_regression_serves_several_targets() -> None:
-    rng = np.random.default_rng(0)
-    features, states = rng.standard_normal((300, 5)), rng.standard_normal((300, 2))
-    known = BlockedRidge(features)
-    for target in (states, features[:, :3] + 0.1 * rng.standard_normal((300, 3))):
-        alone = fit_encoder([features], [target])
-        again = fit_encoder([features], [target], regression=known)
-        assert np.array_equal(alone.weights, again.weights)
-        assert np.array_equal(alone.bias, again.bias)

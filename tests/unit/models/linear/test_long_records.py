@@ -12,10 +12,9 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models import linear
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._linear import fit as estimates
 from asia.models._linear import response
 from asia.models._linear import system as linear_system
-from asia.models._linear.response import DrivenRecords, LongResponse
+from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
 from asia.models._noise import model as process
 from asia.models._numerics import encoder
@@ -48,7 +47,9 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("short_blocks")
 @pytest.mark.parametrize("poles", [True, False])
-def test_blocks_give_the_normal_equations_of_whole_records(poles: bool) -> None:
+def test_blocks_give_the_normal_equations_of_whole_records(
+    monkeypatch: pytest.MonkeyPatch, poles: bool
+) -> None:
     rng = np.random.default_rng(1)
     system = LinearSystem(
         0.9 * np.linalg.qr(rng.standard_normal((3, 3)))[0],
@@ -63,13 +64,16 @@ def test_blocks_give_the_normal_equations_of_whole_records(poles: bool) -> None:
         weight = rng.uniform(0.0, 1.0, (length, 2))
         records.append(ScaledTrajectory(u, y, weight, u, np.ones((length, 2))))
     x0, driven = rng.standard_normal((4, 3)), DrivenRecords(records)
-    whole, blocks = driven.response(system, x0), LongResponse(records, driven.samples, system, x0)
-    expected, found = whole.normal_equations(poles=poles), blocks.normal_equations(poles=poles)
+    whole, blocks = driven.response(system, x0), driven.response(system, x0)
+    expected, misfit = whole.normal_equations(poles=poles), whole.misfit(0)
+    monkeypatch.setattr(response, "_LONG", 0)
+    found = blocks.normal_equations(poles=poles)
+    assert len(list(blocks.states_of(0))) == 4
     for one, other in zip(expected, found, strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-9)
     assert blocks.error == pytest.approx(whole.error, rel=1e-12)
     np.testing.assert_allclose(blocks.state_squares, whole.state_squares, rtol=1e-12)
-    np.testing.assert_allclose(blocks.misfit(0), whole.misfit(0), atol=1e-9)
+    np.testing.assert_allclose(blocks.misfit(0), misfit, atol=1e-9)
 
 
 @pytest.mark.usefixtures("short_blocks")
@@ -134,7 +138,7 @@ def test_standard_errors_of_a_long_record_are_those_of_a_short_one(
     model = linear.train(model, [data], context(), LevenbergMarquardt(iterations=30))
     monkeypatch.setattr(process, "_MOST_WORK", 0)
     known = model.estimates([data], context())
-    monkeypatch.setattr(estimates, "_LONG", 0)
+    monkeypatch.setattr(response, "_LONG", 0)
     monkeypatch.setattr(process, "_MANY", 0)
     monkeypatch.setattr(process, "_BLOCK", 64)
     found = model.estimates([data], context())

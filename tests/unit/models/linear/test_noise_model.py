@@ -67,11 +67,13 @@ def test_derivatives_of_innovations(huber: float | None) -> None:
     a, b = np.array([[0.8, 0.1], [-0.2, 0.7]]), np.array([[0.5], [0.3]])
     system = LinearSystem(a, b, np.array([[1.0, -0.4]]), np.array([[0.2]]), np.array([0.1]))
     x0, move = np.array([[0.3, -0.2], [0.1, 0.4]]), 1e-6
-    jacobian = driven.response(system, x0).jacobian()
+    ((jacobian, _),) = driven.response(system, x0).derivatives(1)
 
     def residual(by_a: float, by_x0: float) -> np.ndarray:
         moved = replace(system, a=a + by_a * np.array([[0.0, 1.0], [0.0, 0.0]]))
-        return driven.response(moved, x0 + by_x0 * np.array([[0.0, 0.0], [1.0, 0.0]])).residual
+        away = x0 + by_x0 * np.array([[0.0, 0.0], [1.0, 0.0]])
+        ((_, found),) = driven.response(moved, away).derivatives(1)
+        return found
 
     for column, way in ((1, (move, 0.0)), (-2, (0.0, move))):
         slope = (residual(*way) - residual(-way[0], -way[1])) / (2 * move)

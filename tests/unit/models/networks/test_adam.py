@@ -15,10 +15,10 @@ from asia.models import ltc
 from asia.models._networks import training
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.objective import objective
-from asia.models._networks.structure import Params, rollout
+from asia.models._networks.structure import Params
 from asia.models._networks.training import FitTask, HoldoutSplit
 from asia.models._numerics.scaling import Scaling
-from asia.models._numerics.segments import laid, tracks
+from asia.models._numerics.segments import laid
 from asia.models._numerics.training_records import (
     PaddedBatch,
     batch,
@@ -231,30 +231,6 @@ def test_teacher_never_shows_samples_that_do_not_count() -> None:
     assert found[0]["a"] == found[1]["a"]
 
 
-def test_state_is_carried_from_chunk_to_chunk() -> None:
-    rows = scaled(records(100), Scaling.of(records(100)))
-    data = batch(rows, context())
-    errors: list[float] = []
-    method = Adam(7, 1e-12, weight_decay=0.0, truncation=14, carry=True)
-    begin = start(0.95, 0.3)
-    trained(data, method, Echo(), start=begin, log=lambda step, loss: errors.append(loss**2))
-    y = rollout(Echo(), begin, jnp.asarray(data.window), jnp.asarray(data.u))
-    squares = np.asarray((y - data.y) ** 2).reshape(7, 14)
-    np.testing.assert_allclose(errors, squares.mean(axis=1), rtol=1e-3)
-
-
-def test_carried_chunks_learn_and_long_records_are_read_in_parallel() -> None:
-    data = records(400)
-    method = Adam(300, 0.02, weight_decay=0.0, truncation=20, carry=True)
-    for parallel in (None, 4):
-        found = train_network(model(), data, context(), replace(method, batch=parallel))
-        assert error(found, data[0]) < 0.05
-    samples = batch(scaled(data, Scaling.of(data)), context())
-    side_by_side = tracks(samples, 20, 4, washout=3)
-    assert side_by_side.u.shape == (4, 100, 1)
-    assert float(side_by_side.weight.sum()) == 398 - 4 * 3
-
-
 def test_chunks_laid_end_to_end_are_the_published_windows() -> None:
     samples = batch(scaled(records(151, 80), Scaling.of(records(151, 80))), context())
     data = laid(samples, 40)
@@ -308,8 +284,7 @@ def test_losses_are_what_their_names_say() -> None:
         ("huber", [0.25, 5.0, 3.0]),
     ):
         assert float(objective(loss, residual, weight)) == pytest.approx(np.mean(each))  # type: ignore[arg-type]
-    assert float(objective("mse", residual, weight, washout=1)) == pytest.approx(6.5)
-    several = objective("mse", residual, weight, 0, (1, 2, 50))
+    several = objective("mse", residual, weight, (1, 2, 50))
     assert float(several) == pytest.approx(np.mean([0.25, 9.25 / 2, 13.25 / 3]))
 
 
@@ -373,8 +348,7 @@ def test_average_trails_behind_the_weights() -> None:
         ({"every": 0}, "every is 0"),
         ({"patience": 0}, "patience is 0"),
         ({"horizons": ()}, "horizons"),
-        ({"horizons": (2, 10), "washout": 2}, "horizons"),
-        ({"carry": True}, "give truncation"),
+        ({"horizons": (0, 10)}, "horizons"),
         ({"full_batch": True, "batch": 3}, "leave batch out"),
     ],
 )
@@ -388,7 +362,6 @@ def test_settings_that_do_not_go_with_the_network_are_refused() -> None:
     sequence = NetworkModel(Plain(), {"w": np.zeros((1, 1), np.float32)})
     for method, words in (
         (Adam(1, teacher=0.5), "feed back their own output"),
-        (Adam(1, truncation=10, carry=True), "networks with a state"),
         (Adam(1, dropout=0.5), "needs an output layer"),
     ):
         with pytest.raises(UserError, match=words):

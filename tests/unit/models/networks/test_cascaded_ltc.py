@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from asia.errors import UserError
 from asia.models import cascaded_ltc
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
@@ -39,8 +38,3 @@ def test_the_fast_layer_reads_the_slow_one_and_not_the_other_way() -> None:
     assert np.abs(fast2 - fast1).max() > 0
     np.testing.assert_array_equal(slow3, slow1)
     assert np.abs(fast3 - fast1).max() > 0
-
-
-def test_bad_time_constants_are_refused() -> None:
-    with pytest.raises(UserError, match=r"slow_min is 5\.0, expected 0 < slow_min < slow_max"):
-        cascaded_ltc.Config(slow_min=5.0, slow_max=1.0)

@@ -54,8 +54,6 @@ def test_batch_of_cases_is_simulated_case_by_case() -> None:
 def test_bad_configuration_is_refused() -> None:
     with pytest.raises(UserError, match="expected rnn, gru or lstm"):
         recurrent.Config("elman")  # type: ignore[arg-type]
-    with pytest.raises(UserError, match="washout is 10, expected less than truncation"):
-        Adam(truncation=10, washout=10)
 
 
 def test_reference_recipe_starts_as_written() -> None:

@@ -36,12 +36,6 @@ def test_known_numbers_are_recovered(time: float) -> None:
     assert np.log(found.white[0] / 0.2) == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_given_time_constant_is_kept() -> None:
-    found = estimated(drawn(2000, 60.0, 0.5, 0.2), NoiseChoice(slow=True, time=40.0))
-    assert found.time[0] == 40.0
-    assert found.white[0] == pytest.approx(0.2, rel=0.1)
-
-
 def test_white_noise_has_no_slow_part() -> None:
     residual = drawn(1000, 60.0, 0.0, 0.3)
     found = estimated(residual, NoiseChoice(slow=True))
@@ -82,8 +76,6 @@ def test_estimates_settle() -> None:
     "wrong",
     [
         {"noise_model": "brown"},
-        {"noise_model": "slow", "slow_time": 0.0},
-        {"slow_time": 10.0},
         {"huber": -1.0},
     ],
 )

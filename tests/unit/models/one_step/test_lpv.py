@@ -56,7 +56,7 @@ def test_coefficients_follow_the_scheduling_signal() -> None:
 
 
 def test_lags_are_chosen_with_the_coefficients() -> None:
-    config = arx.Config(scheduling=1, max_order=3, delay=None, max_delay=2)
+    config = arx.Config(scheduling=1, max_order=3, delay=None)
     assert error(config, LevenbergMarquardt(iterations=15)) < 0.02
 
 

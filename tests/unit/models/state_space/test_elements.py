@@ -59,8 +59,8 @@ def test_a_play_of_the_input_is_found() -> None:
 def test_a_model_starts_as_the_linear_one_and_comes_back_from_bytes(element: str) -> None:
     train = backlash(100, samples=200)
     method = LevenbergMarquardt(0)
-    plain = fitted(train, method, order=2, encoder=0)
-    model = fitted(train, method, order=2, encoder=0, **{element: 2})
+    plain = fitted(train, method, order=2)
+    model = fitted(train, method, order=2, **{element: 2})
     case = train.u[None, :10], train.y[None, :10], train.u[None, 10:]
     # The encoder is fitted to more states, so that simulations start a little apart.
     parts = model.simulate(*case)[:, 100:], plain.simulate(*case)[:, 100:]

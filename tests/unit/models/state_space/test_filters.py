@@ -12,7 +12,6 @@ from asia.models._state_space.wiener_hammerstein import (
     FilterEquations,
     FilterRidge,
     TwoFilters,
-    WienerHammersteinStructure,
 )
 
 
@@ -68,8 +67,7 @@ def test_chunks_sum_to_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_same_simulation_in_state_space() -> None:
     p, one = model(), record(200, 4)
-    template = WienerHammersteinStructure(1, 1, 1, "state", "tanh", 1, 3, None)
-    structure, params = p.state_space(template)
+    structure, params = p.state_space()
     assert (structure.order, structure.first, structure.hidden) == (5, 2, 3)
     y = structure.simulate(params, p.x0[1:], one.u[None])[1][0, :, 0]
     assert y == pytest.approx(wiener_hammerstein.simulated(p, one.u[:, 0], 1), abs=1e-12)

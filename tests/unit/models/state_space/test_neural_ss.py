@@ -13,7 +13,6 @@ import pytest
 
 from asia.candidate import Context
 from asia.data import Signal
-from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models import linear, neural_ss
 from asia.models._least_squares import LevenbergMarquardt
@@ -63,7 +62,7 @@ def test_no_iterations_leave_the_linear_model(place: Any) -> None:
     line = linear.train(
         linear.build(linear.Config(order=2), data.context), data.training, data.context
     )
-    config = neural_ss.Config(order=2, nonlinearity=place, encoder=0)
+    config = neural_ss.Config(order=2, nonlinearity=place)
     model = fitted(config, data, LevenbergMarquardt(0))
     np.testing.assert_allclose(data.simulated(model), data.simulated(line), rtol=1e-6)
 
@@ -154,48 +153,6 @@ def test_same_seed_gives_the_same_model_whatever_the_precision_of_the_caller() -
     with jax.enable_x64(True):
         second = data.simulated(fitted(config, data, method))
     assert first.tobytes() == second.tobytes()
-
-
-@pytest.mark.slow
-def test_members_are_the_best_fits_and_answer_by_their_median() -> None:
-    data = case(wiener, lengths=(150,))
-    method = LevenbergMarquardt(10, starts=3)
-    best = data.simulated(fitted(neural_ss.Config(order=2), data, method))
-    all_three = fitted(neural_ss.Config(order=2, members=3), data, method)
-    assert all_three.fitted is not None
-    members = all_three.fitted.members
-    apart = [
-        data.simulated(replace(all_three, fitted=replace(all_three.fitted, members=(m,))))
-        for m in members
-    ]
-    np.testing.assert_array_equal(apart[0], best)
-    np.testing.assert_allclose(data.simulated(all_three), np.median(apart, axis=0), rtol=1e-9)
-    assert len({y.tobytes() for y in apart}) == 3
-
-
-@pytest.mark.long
-def test_fits_are_ranked_by_their_error_from_past_windows() -> None:
-    """The slow state of this system hides errors of the fit from its own initial state."""
-    rng, n = np.random.default_rng(11), 160
-    u = np.repeat(rng.uniform(-1, 1, n // 8), 8)
-    y, x, slow = np.zeros(n), 0.0, 0.0
-    for k in range(n):
-        y[k] = slow
-        slow, x = 0.985 * slow + 0.05 * np.tanh(2 * x), 0.7 * x + 0.3 * u[k]
-    y += 0.05 * y.std() * rng.standard_normal(n)
-    record = Trajectory(u[:, None], y[:, None], 1.0)
-    context = Context((Signal("u"),), (Signal("y"),), 1.0, 4, 4)
-    config = neural_ss.Config(order=3, hidden=8, members=3, encoder=0)
-    model = neural_ss.build(config, context)
-    model = neural_ss.train(model, [record], context, LevenbergMarquardt(15, starts=3))
-    assert model.fitted is not None
-    errors = list[float]()
-    for member in model.fitted.members:
-        alone = replace(model, fitted=replace(model.fitted, members=(member,)))
-        simulated = alone.simulate(record.u[None, :4], record.y[None, :4], record.u[None, 4:])[0]
-        errors.append(float(((simulated - record.y[4:]) ** 2).mean()))
-    assert errors == sorted(errors)
-    assert errors[2] > 2 * errors[0]
 
 
 def test_polynomials_are_the_monomials_up_to_the_degree() -> None:

@@ -108,7 +108,7 @@ def test_the_functions_go_on_as_straight_lines_beyond_the_records() -> None:
     data = case(spring, lengths=(300,), noise=0.02)
     model = fitted(nl_lfr, nl_lfr.Config(order=2), data, LevenbergMarquardt(iterations=8))
     assert model.fitted is not None
-    structure, layer = model.fitted.structure, model.fitted.members[0][0]["f"]
+    structure, layer = model.fitted.structure, model.fitted.params["f"]
 
     def slopes(z: np.ndarray) -> np.ndarray:
         return np.diff(structure.units(layer, z[:, None]) @ layer["w2"], axis=0) / np.diff(z)[0]
@@ -154,7 +154,7 @@ def test_no_mode_follows_the_drift_of_a_record() -> None:
     config = nl_lfr.Config(delay=0, hidden=2)
     model = fitted(nl_lfr, config, data, LevenbergMarquardt(4, starts=1))
     assert model.fitted is not None
-    a = model.fitted.members[0][0]["a"]
+    a = model.fitted.params["a"]
     assert np.abs(np.linalg.eigvals(a)).max() < slow
 
 
@@ -197,7 +197,7 @@ def test_a_free_integrator_is_not_read() -> None:
     model = fitted(nl_lfr, config, data, LevenbergMarquardt(20, starts=2))
     assert model.fitted is not None
     order = model.fitted.structure.order
-    read = model.fitted.members[0][0]["read"]
+    read = model.fitted.params["read"]
     assert read.shape == (order - 1 + 1, 1)
     line = fitted(linear, linear.Config(order=2, integrators=1), data, None)
     assert data.ratio(model) < 0.7 * data.ratio(line)
@@ -216,7 +216,7 @@ def test_without_training_it_says_so() -> None:
 def test_models_of_several_orders_are_the_same_in_one_program(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    config = nl_lfr.Config(hidden=3, encoder=4, integrators=1)
+    config = nl_lfr.Config(hidden=3, integrators=1)
     context = Context((Signal("u"),), (Signal("y"),), 1.0, n_past_u=10, n_past_y=10, seed=1)
     u = np.random.default_rng(0).normal(size=150)
     y = np.cumsum(0.1 * np.tanh(filtered(u[:, None])), axis=0)[:, 0]

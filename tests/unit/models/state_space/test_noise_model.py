@@ -33,7 +33,7 @@ def error(method: LevenbergMarquardt, seed: int) -> float:
         truth[:, k] = 0.9 * truth[:, k - 1] + 0.4 * np.tanh(1.5 * u[:, k - 1])
     noise = slow_disturbance(SAMPLES, 0.99, rng) + 0.02 * rng.standard_normal(SAMPLES)
     record = Trajectory(u[0][:, None], (truth[0] + noise)[:, None], 1.0)
-    model = neural_ss.build(neural_ss.Config(order=1, hidden=4, encoder=4), CONTEXT)
+    model = neural_ss.build(neural_ss.Config(order=1, hidden=4), CONTEXT)
     model = neural_ss.train(model, [record], CONTEXT, method)
     past = u[1][None, :PAST, None], truth[1][None, :PAST, None]
     y = model.simulate(*past, u[1][None, PAST:, None])[0, :, 0]

@@ -114,16 +114,10 @@ def test_a_delay_that_only_the_linear_model_sees_is_not_kept() -> None:
     assert found == {3: 3, None: 0}
 
 
-@pytest.mark.parametrize(("channels", "fits"), [(None, 1), (1, 3)])
-def test_polynomials_of_all_states_are_fitted_from_their_one_start(
-    channels: int | None, fits: int
-) -> None:
-    context = context_for(None, "u", "y", 0.15, seed=1)
-    model = neural_ss.build(replace(CONFIG, channels=channels, members=3), context)
-    method = LevenbergMarquardt(iterations=2, starts=3)
-    fitted = neural_ss.train(model, [duffing_record(80, 0)], context, method).fitted
-    assert fitted is not None
-    assert len(fitted.members) == fits
+@pytest.mark.parametrize(("channels", "vary"), [(None, False), (1, True)])
+def test_polynomials_of_all_states_have_one_start(channels: int | None, vary: bool) -> None:
+    structure = replace(STRUCTURE, basis="polynomial", channels=channels)
+    assert structure.starts_vary == vary
 
 
 @pytest.mark.long

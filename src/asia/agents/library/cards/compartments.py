@@ -3,7 +3,7 @@
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
-from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.space import OneOf, Space
 from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import fails_on_top
 from asia.agents.view import Facts
@@ -29,8 +29,6 @@ def _space(facts: Facts) -> Space:
             OneOf("full", (False, True)),
             OneOf("spill", (False, True), needs="full"),
             OneOf("sensor", (None, "power", "spline")),
-            OneOf("residual", (0, 4)),
-            Span("residual_ridge", 1e-3, 1e-1, needs="residual"),
         ),
         options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8, 16)), *noise_space(facts)),
     )

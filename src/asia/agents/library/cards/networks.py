@@ -69,9 +69,6 @@ def _network(
             OneOf("members", (1, 3)),
             *symmetry_space(facts),
         ]
-        if by_multiple_shooting not in methods:
-            # There is no state to be carried from one chunk to the next.
-            options = [p for p in options if p.name != "carry"]
         if teacher is not None:
             options += [OneOf("teacher", (0.0, 0.3, 1.0)), OneOf("teacher_end", (0.0,))]
         varied = vary(facts) if callable(vary) else vary

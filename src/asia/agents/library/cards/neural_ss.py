@@ -65,7 +65,6 @@ def _space(facts: Facts) -> Space:
             OneOf("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
-            OneOf("members", (1, 3)),
             OneOf("friction", (0, 1, 2)),
             OneOf("play", (0, 1)),
             OneOf("integrators", (0, 1)),
@@ -157,7 +156,7 @@ def _trace(at: Situation) -> int:
 
 def _with_element(at: Situation, element: str, **config: Value) -> Recipe:
     """Put friction or play beside a linear model, fitted from several starts."""
-    recipe = at.recipe.without("channels", "members")
+    recipe = at.recipe.without("channels")
     config = {"nonlinearity": "none", element: 1, **config}
     return recipe.configured(**config).trained(starts=4)
 
