@@ -91,8 +91,7 @@ class InProcess:
             outputs.append([
                 model.simulate(c.past_u[None], c.past_y[None], c.u[None])[0] for c in cases
             ])  # fmt: skip
-            known = SimpleNamespace(parameters=tuple(model.parameters().items()))
-            findings.append(SimpleNamespace(findings=known))
+            findings.append(SimpleNamespace(parameters=tuple(model.parameters().items())))
         outcome = score_outputs(self.folds, outputs, self.problem.protocol.metric)
         self.sources[id(outcome)] = source
         self.outcomes.append(outcome)

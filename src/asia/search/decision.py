@@ -122,7 +122,8 @@ def decide(
                 if confirmation is not None and not confirmation.confirmed:
                     status, lowest = "unconfirmed", False
             if failure is not None:
-                evaluation = replace(evaluation, outcome=failure)
+                refused = replace(failure, folds=evaluation.folds)
+                evaluation = replace(evaluation, outcome=refused)
                 status, lowest = failure.reason.status, False
     return replace(
         decision,

@@ -14,10 +14,10 @@ import numpy as np
 from asia._heap import LARGE_RECORDS, give_back_large_arrays
 from asia._timer import Activity
 from asia.candidate import Context, check_source, executed_source, library_only
-from asia.data.segment import Segment
+from asia.data.segment import Segment, stacked
 from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason, UserError
-from asia.judge.evaluation.artifacts import ArtifactStore
+from asia.judge.artifacts import ArtifactStore
 from asia.judge.evaluation.findings import record_fold
 from asia.judge.evaluation.relations import (
     ROUNDING,
@@ -38,7 +38,6 @@ from asia.judge.evaluation.requests import (
 )
 from asia.judge.evaluation.results import (
     Evaluation,
-    FoldRecord,
     Refit,
     RefitModel,
     derive_seed,
@@ -47,7 +46,7 @@ from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.worker.worker import Worker
-from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_parts
+from asia.judge.scoring.outcome import Failure, FoldRecord, Outcome, Score, combine, score_parts
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
 from asia.problem.folds import Fold, inner_folds, whole
@@ -147,15 +146,12 @@ class StoredModels:
     ) -> list[Array | CandidateError]:
         """Simulate blocks of one length in one request; outputs (blocks, H, ny) of each model, or
         an error where it fails. For cases without measured outputs only."""
-        arrays = [
-            np.stack([getattr(block, name) for block in blocks])
-            for name in ("past_u", "past_y", "u")
-        ]
+        cases = stacked(blocks)
 
         def answers(model: bytes) -> Array | CandidateError:
             try:
                 with self._loaded(source, model) as worker:
-                    return worker.simulate_known(*arrays)
+                    return worker.simulate_known(cases.past_u, cases.past_y, cases.u)
             except CandidateError as error:
                 return error
 
@@ -378,10 +374,9 @@ class Evaluator:
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.outcome, Failure):
-                return Evaluation(end.outcome, output=end.output, validation_scores=calls)
-        scores = [end.outcome.folds[0] for end in ends if isinstance(end.outcome, Score)]
-        records = tuple(end.folds[0] for end in ends)
-        return Evaluation(combine(scores), records, ends[0].output, calls, artifacts=artifacts)
+                return Evaluation(end.outcome, end.output, calls)
+        outcome = combine([end.folds[0] for end in ends])
+        return Evaluation(outcome, ends[0].output, calls, artifacts)
 
     def inner_errors(self, source: str) -> tuple[float, ...] | Reason:
         """Fit a source to parts of each fold's training records and simulate the rest.
@@ -512,21 +507,21 @@ class Evaluator:
         artifacts = ArtifactStore() if artifacts is None else artifacts
         # Analyse one fold of long records at a time, to limit memory.
         long = sum(len(record) for record in fold.train) > _LONG
-        printed, records = "", ()
+        printed = ""
         try:
             fitted = self._fitter.fit(source, fold, start, scores)
             printed = fitted.printed
             with stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._check_strangers(source, fold, fitted.model, fitted.y_hat)
             with stopwatch.activity(Activity.SCORE), self._analysing if long else nullcontext():
-                score, record = record_fold(
+                record = record_fold(
                     fold, fitted, rule, self._ranges, context, oracle.calls, artifacts
                 )
-            outcome, records = Score(score.value, (score,)), (record,)
+            outcome = Score(record.value, (record,))
         except CandidateError as error:
             outcome = Failure(error.reason, error.detail, fold.index + 1)
             printed = printed or error.printed
-        return Evaluation(outcome, records, printed, oracle.calls, artifacts=artifacts)
+        return Evaluation(outcome, printed, oracle.calls, artifacts)
 
     def _check_strangers(
         self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia.candidate import Context, KnownSystem
 from asia.data.trajectory import Array
-from asia.judge.evaluation.artifacts import ArtifactStore
-from asia.judge.evaluation.results import FoldFindings, FoldRecord, StepErrors, put_findings
-from asia.judge.evaluation.training_checks import TrainingCheck, training_checks
-from asia.judge.scoring.outcome import FoldScore, score_fold
+from asia.judge.artifacts import ArtifactStore
+from asia.judge.evaluation.training_checks import training_checks
+from asia.judge.scoring.checks.check import RecordedCheck
+from asia.judge.scoring.outcome import FoldRecord, StepErrors, score_fold
 from asia.judge.scoring.residuals import (
     Diagnostics,
     Ranges,
@@ -29,12 +30,15 @@ from asia.problem.protocol import ProtocolRule
 _MOST_RESIDUALS = 120
 
 
-@dataclass(frozen=True)
-class FoldFit:
-    """A model fitted on one fold and its simulations, as the machine that fits reports them."""
+M = TypeVar("M")
 
-    model: bytes
-    """The fitted model; never parsed outside a sandbox."""
+
+@dataclass(frozen=True)
+class FoldFit(Generic[M]):
+    """A model fitted on one fold and its simulations, as the process that fits reports them."""
+
+    model: M
+    """The fitted model; as bytes never parsed outside a sandbox."""
     curve: Array
     """Step and loss as logged by the candidate, (n, 2), may hold NaN."""
     printed: str
@@ -46,13 +50,13 @@ class FoldFit:
     """Simulated outputs (H, ny) of each held-out block."""
     train_y_hat: tuple[Array, ...]
     """Simulated outputs (H, ny) of each block of the training records."""
-    memory_mb: float | None
+    memory_mb: float | None = None
     """The largest address space of the worker before its first case."""
-    compile_seconds: float
+    compile_seconds: float = 0.0
     """Time in which JAX traced and compiled before the first case."""
-    numbers: int | None
+    numbers: int | None = None
     """Count of the numbers in the model; None if not known."""
-    simulate_seconds: float
+    simulate_seconds: float = 0.0
     """Processor time of the second simulation of the training records; of the first where it is
     slow."""
     machine: str = ""
@@ -63,16 +67,16 @@ class FoldFit:
 
 def record_fold(
     fold: Fold,
-    fitted: FoldFit,
+    fitted: FoldFit[bytes],
     rule: ProtocolRule,
     ranges: Ranges,
     context: Context,
     validation_scores: int,
     artifacts: ArtifactStore,
-) -> tuple[FoldScore, FoldRecord]:
+) -> FoldRecord:
     """Score a fold's simulations, analyse their residuals, and keep the large parts in `artifacts`.
-    An analysis that raises leaves a line
-    in `FoldFindings.failed`, and zeros in `Diagnostics`; a score that raises is not caught.
+    An analysis that raises leaves a line in `failed`, and zeros in `Diagnostics`; a score that
+    raises is not caught.
 
     Raises:
         CandidateError: for outputs that are not finite or too large to analyse
@@ -86,11 +90,11 @@ def record_fold(
         b.simulated(one).complete_y for b, one in zip(inside, fitted.train_y_hat, strict=True)
     ]
     failed: list[str] = []
-    evidence = Diagnostics(train.value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    evidence = Diagnostics(train.value)
     signed: tuple[SignedResidual, ...] = ()
     held_out: tuple[SignedResidual, ...] = ()
     steps: tuple[StepErrors, ...] = ()
-    checks: tuple[TrainingCheck, ...] | None = None
+    checks: tuple[RecordedCheck, ...] | None = None
     # The errors of a closed loop are no residuals of a model.
     if rule.kind != "control":
         with diagnostic("residual analysis", failed):
@@ -103,37 +107,34 @@ def record_fold(
             steps = _step_errors(fold, fitted.y_hat, rule)
         with diagnostic("training checks", failed):
             checks = training_checks(inside, fitted.train_y_hat, fold.scale, context)
-    findings = FoldFindings(
-        errors=_errors(y, fitted.y_hat, fold.scale, rule),
-        train_errors=_errors(train_y, fitted.train_y_hat, fold.scale, rule),
-        steps=steps,
-        residuals=signed[:_MOST_RESIDUALS],
-        parameters=fitted.parameters,
-        compile_seconds=fitted.compile_seconds,
-        memory_mb=fitted.memory_mb,
-        printed=fitted.printed,
-        held_out_residuals=held_out,
-        checks=checks,
-        failed=tuple(failed),
-        numbers=fitted.numbers,
-        sample_seconds=fitted.simulate_seconds / sum(map(len, fitted.train_y_hat)),
-    )
-    record = FoldRecord(
+    return replace(
+        score,
         model=artifacts.put(fitted.model),
         y_hat=artifacts.put_arrays(fitted.y_hat),
         curve=artifacts.put_arrays([fitted.curve]),
         diagnostics=evidence,
         fit_seconds=fitted.seconds,
         validation_scores=validation_scores,
-        findings=put_findings(artifacts, findings),
         machine=fitted.machine,
         isolation=fitted.isolation,
+        errors=_errors(y, fitted.y_hat, fold.scale, rule),
+        train_errors=_errors(train_y, fitted.train_y_hat, fold.scale, rule),
+        steps=steps,
+        residuals=signed[:_MOST_RESIDUALS],
+        held_out_residuals=held_out,
+        parameters=fitted.parameters,
+        checks=checks,
+        failed=tuple(failed),
+        printed=fitted.printed,
+        compile_seconds=fitted.compile_seconds,
+        memory_mb=fitted.memory_mb,
+        numbers=fitted.numbers,
+        sample_seconds=fitted.simulate_seconds / sum(map(len, fitted.train_y_hat)),
     )
-    return score, record
 
 
 def _held_out_residuals(
-    fold: Fold, fitted: FoldFit, rule: ProtocolRule, ranges: Ranges
+    fold: Fold, fitted: FoldFit[bytes], rule: ProtocolRule, ranges: Ranges
 ) -> tuple[SignedResidual, ...]:
     if rule.residuals == "train":
         return ()

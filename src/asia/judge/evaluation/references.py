@@ -259,7 +259,7 @@ def best_linear(evaluator: Evaluator) -> Reference:
         return evaluator.evaluate(source), source
 
     options = [scored()]
-    known = [dict(findings.parameters) for findings in options[0][0].findings]
+    known = [dict(record.parameters) for record in options[0][0].folds]
     names = "order [states]", "delay [samples]"
     each = [(round(one[names[0]]), round(one[names[1]])) for one in known if names[1] in one]
     if len(set(each)) > 1:

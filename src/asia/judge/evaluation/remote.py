@@ -66,7 +66,7 @@ def fit_fold(
     open_worker: OpenWorker,
     oracle: Oracle | None = None,
     on_loss: OnLoss | None = None,
-) -> FoldFit:
+) -> FoldFit[bytes]:
     """Fit in one worker, which reports its parameters before it receives a case, and simulate there
     and in fresh ones.
 
@@ -86,7 +86,7 @@ def fit_fold(
             try:
                 with oracle or nullcontext():
                     shown = on_loss and partial(on_loss, work.source, work.fold)
-                    reply = worker.fit(
+                    curve, _, seconds = worker.fit(
                         work.source, data.train, context, oracle, program_store(), shown
                     )
             finally:
@@ -114,9 +114,9 @@ def fit_fold(
         raise CandidateError(error.reason, error.detail, printed) from error
     return FoldFit(
         model=model,
-        curve=reply.curve,
+        curve=curve,
         printed=printed,
-        seconds=reply.seconds,
+        seconds=seconds,
         parameters=parameters,
         y_hat=tuple(np.ascontiguousarray(found[i], "<f8") for i in range(len(data.held_out))),
         train_y_hat=tuple(np.ascontiguousarray(one, "<f8") for one in train_y_hat),
@@ -285,7 +285,7 @@ class FoldFitter:
         self._workers, self._problem, self._without = workers, problem, without
         self._data: dict[int, tuple[FoldData, str, bytes]] = {}
 
-    def fit(self, source: str, fold: Fold, start: int, oracle: Oracle | None) -> FoldFit:
+    def fit(self, source: str, fold: Fold, start: int, oracle: Oracle | None) -> FoldFit[bytes]:
         """Fit `source` on a fold; start: another one has another seed. The cancel flag of this
         thread ends it on a remote machine too. Raises CandidateError and SandboxError, and
         UserError where a machine is not fit for the work."""

@@ -29,7 +29,7 @@ _HEAD_BYTES = 8
 
 Blob: TypeAlias = bytes | memoryview
 """Raw bytes of a message."""
-FoldAttempt: TypeAlias = FoldFit | CandidateError
+FoldAttempt: TypeAlias = FoldFit[bytes] | CandidateError
 """A fitted fold, or why there is none."""
 
 

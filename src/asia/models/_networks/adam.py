@@ -24,7 +24,6 @@ from asia.models._networks.objective import (
 from asia.models._networks.structure import Cell, NetworkStructure, Params, Penalised
 from asia.models._numerics.segments import (
     Places,
-    Simulations,
     gently,
     laid,
     places,
@@ -32,7 +31,7 @@ from asia.models._numerics.segments import (
     tracks,
     whole,
 )
-from asia.models._numerics.training_records import PaddedBatch
+from asia.models._numerics.training_records import SegmentBatch
 from asia.models.methods import Adam
 
 
@@ -50,7 +49,7 @@ class AdamState(NamedTuple):
 def run(
     cell: NetworkStructure,
     params: Params,
-    batch: PaddedBatch,
+    batch: SegmentBatch,
     method: Adam,
     horizon: int | None,
     seed: int,
@@ -62,7 +61,7 @@ def run(
     not finite is skipped."""
     check_structure(cell, params, method)
     length = method.truncation or horizon
-    data: Simulations | Places
+    data: SegmentBatch | Places
     if length is None:
         data = whole(batch)
     elif method.carry:
@@ -77,7 +76,7 @@ def run(
     trained, fixed = split(params)
     packing, theta = Packing.of(trained), packed(trained, np.float32)
     carried = None
-    if isinstance(data, Simulations) and method.carry and isinstance(cell, Cell):
+    if isinstance(data, SegmentBatch) and method.carry and isinstance(cell, Cell):
         carried = jax.tree.map(np.zeros_like, cell.initial(params, data.window))
     average, blank = theta if method.average > 0 else None, np.float32(0.0)
     memory = started(program.optimiser(numbers), theta)
@@ -120,7 +119,7 @@ def _advance(
     program: AdamProgram,
     packing: Packing,
     numbers: AdamNumbers,
-    data: Simulations | Places,
+    data: SegmentBatch | Places,
     fixed: Any,
     state: AdamState,
     span: tuple[jax.Array, jax.Array],
@@ -134,13 +133,13 @@ def _advance(
         params = merged(packing.unpack(trained), fixed)
         drawn, shaken = jax.random.split(jax.random.fold_in(root, step))
         go = partial(forward, cell, program, numbers, params, step=step, key=shaken)
-        if carried is not None and isinstance(cell, Cell) and isinstance(data, Simulations):
+        if carried is not None and isinstance(cell, Cell) and isinstance(data, SegmentBatch):
             # Next chunk after the one of the step before; the first of all starts anew.
             index = step % (data.u.shape[1] // length)
             cut = partial(
                 jax.lax.dynamic_slice_in_dim, start_index=index * length, slice_size=length, axis=1
             )
-            part = Simulations(data.window, cut(data.u), cut(data.y), cut(data.weight))
+            part = SegmentBatch(data.window, cut(data.u), cut(data.y), cut(data.weight))
             initial = cell.initial(params, part.window)
             y, last = go(part, state=either(index == 0, initial, carried))
             error = objective(program.loss, y - part.y, part.weight, 0, program.horizons, whiten)

@@ -10,8 +10,8 @@ from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
 from asia.models._numerics.training_records import (
-    PaddedBatch,
     ScaledData,
+    SegmentBatch,
     contiguous_splits,
     flat_past,
     laid_end_to_end,
@@ -134,22 +134,13 @@ def _firsts(length: int, past: int, horizon: int | None) -> list[int]:
 # B the number that run in parallel.
 
 
-class Simulations(NamedTuple):
-    """Simulations to compare with measurements."""
-
-    window: AnyArray  # Past window of each (B, d)
-    u: AnyArray  # (B, T, nu)
-    y: AnyArray  # Measured outputs (B, T, ny)
-    weight: AnyArray  # (B, T, ny), 0 where an output does not count
-
-
 class Places(NamedTuple):
     """Trajectories, and the permitted starts of chunks in them."""
 
     u: AnyArray  # (R, T, nu)
     y: AnyArray  # (R, T, ny)
     weight: AnyArray  # (R, T, ny)
-    past_u: AnyArray  # (R, n_past_u + T, nu), see `PaddedBatch`
+    past_u: AnyArray  # (R, n_past_u + T, nu), see `SegmentBatch`
     past_y: AnyArray  # (R, n_past_y + T, ny)
     ends: AnyArray  # Number of starts in each record and those before it (R,)
     moves: AnyArray  # (R,), 0 where all starts of a record are its first sample, else 1
@@ -164,13 +155,13 @@ class Places(NamedTuple):
         return record, (picked - before) * self.moves[record]
 
 
-def whole(batch: PaddedBatch) -> Simulations:
+def whole(batch: SegmentBatch) -> SegmentBatch:
     """Convert each record to one simulation."""
     arrays = (batch.window, batch.u, batch.y, batch.weight)
-    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
+    return SegmentBatch(*(np.asarray(a, np.float32) for a in arrays))
 
 
-def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
+def laid(batch: SegmentBatch, length: int, overlap: bool = True) -> SegmentBatch:
     """Cut chunks of `length` samples end to end, in time order within each record.
 
     The last chunk of a record ends with it, overlapping its neighbour, or without `overlap` is
@@ -184,27 +175,27 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     at = record[:, None], np.minimum(samples, batch.u.shape[1] - 1)
     weight = batch.weight[at] * inside[..., None]
     arrays = batch.windows_at(record, begin), batch.u[at], batch.y[at], weight
-    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
+    return SegmentBatch(*(np.asarray(a, np.float32) for a in arrays))
 
 
-def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
+def tracks(batch: SegmentBatch, length: int, count: int | None, washout: int) -> SegmentBatch:
     """Cut long segments to be read side by side in chunks of `length` samples: T is a multiple of
     it. There are about `count` segments of equal length (None: one a record); the loss counts after
     `washout` samples."""
     longest = batch.u.shape[1]
     if count is not None:
         longest = min(longest, -(-sum(batch.lengths) // count))
-    window, u, y, weight = laid(batch, longest, overlap=False)
+    window, u, y, weight, *_ = laid(batch, longest, overlap=False)
     weight[:, :washout] = 0.0
     spare = -u.shape[1] % length
 
     def padded(values: AnyArray) -> AnyArray:
         return np.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
 
-    return Simulations(window, padded(u), padded(y), padded(weight))
+    return SegmentBatch(window, padded(u), padded(y), padded(weight))
 
 
-def places(batch: PaddedBatch, length: int) -> Places:
+def places(batch: SegmentBatch, length: int) -> Places:
     """Permit every start from which a whole chunk fits.
 
     A shorter record starts at its first sample, as often as it has samples, so that it is drawn as
@@ -232,7 +223,7 @@ def gently(p: Places, length: int, power: float) -> Places:
     return p._replace(share=np.asarray(np.cumsum(drawn / drawn.sum()), np.float32))
 
 
-def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
+def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> SegmentBatch:
     """Draw `count` chunks of `length` samples with JAX; None: as many as cover the records once,
     but at most 128."""
     import jax
@@ -259,4 +250,4 @@ def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> S
 
     total = p.u.shape[1]
     past = (cut(values, values.shape[1] - total) for values in (p.past_u, p.past_y))
-    return Simulations(flat_past(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))
+    return SegmentBatch(flat_past(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))

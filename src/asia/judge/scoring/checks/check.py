@@ -65,6 +65,20 @@ class Check:
     axes: tuple[str, str] = ("", "")
 
 
+@dataclass(frozen=True)
+class RecordedCheck:
+    """One check as a ledger holds it: without curves."""
+
+    name: str
+    """A few words, unique within a validation report."""
+    verdict: Verdict
+    sentence: str
+    cause: str = ""
+    """Probable cause; "" if none is named."""
+    weight: float = 0.0
+    """Importance among the checks that do not pass."""
+
+
 def summary(checks: tuple[Check, ...]) -> str:
     """`pass 7, doubt 2, fail 1: ...`, with the sentence of the check that matters most."""
     counts = ", ".join(
