@@ -21,8 +21,7 @@ import numpy as np
 
 from asia import run
 from asia.agents import AgentView, Proposal
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import FoldRecord, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started

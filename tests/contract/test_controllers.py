@@ -10,7 +10,7 @@ import pytest
 from asia.errors import Reason, UserError
 from asia.judge.evaluation.control import closed_loop, prepare_control
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import probe

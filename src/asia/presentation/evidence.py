@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from statistics import fmean, median
 
 from asia._text import coarse, one_line
-from asia.judge.evaluation.results import POOR
 from asia.judge.scoring.checks.check import RecordedCheck
+from asia.judge.scoring.outcome import POOR
 from asia.ledger.events import Variant
 from asia.ledger.evidence import ExperimentEvidence, ParameterSpread, SharedResidual
 from asia.presentation.table import error_value

@@ -6,9 +6,8 @@ from statistics import fmean
 from typing import Any
 
 from asia._text import one_line
-from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.confirmation import Confirmation
-from asia.judge.scoring.outcome import Outcome, Score
+from asia.judge.scoring.outcome import SUSPICIOUS_RATIO, Outcome, Score, consistency
 from asia.judge.scoring.repeated_fits import RANKED
 from asia.ledger.events import Evaluated, Phase, StressTest, Validated
 from asia.ledger.evidence import incumbent_threshold

@@ -16,7 +16,7 @@ from asia.data.standardise import standardised
 from asia.data.trajectory import Trajectory
 from asia.errors import CandidateError
 from asia.judge.evaluation.error_analysis import MissingTerm, terms_beyond_linear
-from asia.judge.evaluation.findings import known_system, search_context
+from asia.judge.evaluation.fold_fits import known_system, search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.ledger.artifacts import Store
 from asia.ledger.evidence import RunSettings, evidence_of, folds_of

@@ -25,8 +25,7 @@ from asia.candidate import source_digest
 from asia.data.trajectory import Array
 from asia.errors import Reason
 from asia.judge.evaluation import references
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView

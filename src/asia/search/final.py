@@ -15,15 +15,15 @@ from asia.candidate import ParameterEstimates
 from asia.data.statistics import integrating, needs_loop, relation
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import (
+from asia.judge.evaluation.evaluator import Evaluator, Refit, RefitModel
+from asia.judge.scoring.outcome import (
     SUSPICIOUS_RATIO,
-    Refit,
-    RefitModel,
+    Failure,
     consistency,
     mean_simulation,
+    score_fold,
+    score_parts,
 )
-from asia.judge.scoring.outcome import Failure, score_fold, score_parts
 from asia.ledger.artifacts import Store
 from asia.ledger.events import (
     Feedback,

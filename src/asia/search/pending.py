@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 from asia._timer import Lane
 from asia.agents.view import Agent, proposes_ahead
 from asia.errors import UserError
-from asia.judge.evaluation.background import BackgroundJob, JobSettings
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
+from asia.judge.evaluation.workers import BackgroundJob, JobSettings
 from asia.judge.scoring.outcome import Outcome
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Landed, Proposed

@@ -15,10 +15,9 @@ from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory, data_digest
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import mean_simulation
 from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.outcome import Failure, score_fold
+from asia.judge.scoring.outcome import Failure, mean_simulation, score_fold
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use

@@ -37,9 +37,8 @@ from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
 from asia.interfaces.workspace.workspace import SCORED, scored_locally
 from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes, steps_ahead
-from asia.judge.evaluation.findings import FoldFit, search_context
+from asia.judge.evaluation.fold_fits import FoldFit, derive_seed, search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
-from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.validation_score import rounded_score
 from asia.judge.sandbox.layers.environment import COMPILED_ONCE, REPEATABLE
 from asia.judge.sandbox.worker.prefixes import by_prefixes

@@ -13,9 +13,8 @@ import numpy as np
 from asia.data.relations import LARGEST_GAIN, LEAST_CORRELATION, motion
 from asia.data.segment import Segment
 from asia.data.trajectory import Array
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, score_outputs
-from asia.judge.scoring.outcome import Outcome, Score
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
+from asia.judge.scoring.outcome import Outcome, Score, score_outputs
 from asia.problem.folds import Fold
 from asia.problem.problem import Problem
 

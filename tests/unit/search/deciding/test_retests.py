@@ -12,9 +12,8 @@ import pytest
 
 import asia
 from asia.errors import Reason
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import Failure, FoldRecord, Score
 from asia.judge.scoring.repeated_fits import significance_threshold
@@ -101,7 +100,8 @@ def test_a_candidate_must_stand_out_over_its_seeds(
 ) -> None:
     found, taken = judged(a_search(2, *NOISY), *outcomes)
     assert (found.status, taken) == (status, fits)
-    assert found.evaluation.outcome == Score(cast(float, outcomes[0]), ())
+    assert isinstance(found.evaluation.outcome, Score)
+    assert found.evaluation.outcome.value == outcomes[0]
     assert len(found.retests) == fits - 1
 
 

@@ -12,17 +12,15 @@ import pytest
 from asia.errors import Reason, SandboxError, UserError
 from asia.judge.evaluation import remote
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import derive_seed, fold_data, search_context
 from asia.judge.evaluation.machines import check_installation, installation, survey_machines
-from asia.judge.evaluation.remote import answer
-from asia.judge.evaluation.results import derive_seed
-from asia.judge.evaluation.transport import (
+from asia.judge.evaluation.remote import (
     FoldWork,
+    answer,
     decode_answer,
     decode_data,
     encode_data,
     encode_work,
-    fold_data,
 )
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
