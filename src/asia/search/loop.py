@@ -135,10 +135,11 @@ class Loop:
         names = {reference.name for reference in self.view.references}
         with self.watch.activity(Activity.REFERENCES, swallows=True):
             for reference in score_references(self.evaluator, metric, self.problem.truth, names):
+                folds = tuple(fold.score for fold in reference.outcome.folds)
                 self.record(
                     ReferenceScored(
                         reference.name,
-                        reference.outcome,
+                        replace(reference.outcome, folds=folds),
                         reference.failed_checks,
                         source=reference.source,
                     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -161,10 +161,8 @@ class ScoreCheck:
 
 def _named(outcome: Outcome) -> dict[str, Any]:
     assert isinstance(outcome, Score)
-    folds = [
-        {k.name: getattr(one, k.name) for k in fields(one) if k.compare} for one in outcome.folds
-    ]
-    return {"V": outcome.value, "V of fold": tuple(folds)}
+    scores = tuple(asdict(one.score) for one in outcome.folds)
+    return {"V": outcome.value, "V of fold": scores}
 
 
 def _slack(metric: str) -> float:

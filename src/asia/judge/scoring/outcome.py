@@ -152,6 +152,11 @@ class FoldRecord:
         """The lowest fit index over the channels."""
         return min((f for f in self.fit_index if f is not None), default=None)
 
+    @property
+    def score(self) -> FoldRecord:
+        """The score alone, as of a model that was not fitted."""
+        return FoldRecord(self.value, self.rmse, self.mae, self.fit_index, self.r2, self.other)
+
     def stored(self, store: ArtifactStore) -> FoldRecord:
         """Keep the record as an artifact, and return the part of it that an event holds."""
         whole = self.findings or store.put(_RECORD.dump_json(self))

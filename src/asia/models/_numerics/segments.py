@@ -1,7 +1,6 @@
 """Segments and chunks of records that training simulates."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -31,20 +30,7 @@ from asia.models._numerics.training_records import (
 # time of a loop grows with its length.
 _LONGEST = 4000
 _MOST_SAMPLES = 40_000
-
-
-@dataclass(frozen=True)
-class Stretches:
-    """Segments side by side, z-scored, padded with zeros where the weight is zero."""
-
-    past_u: Array  # Inputs before each (S, n_past_u, nu)
-    past_y: Array  # Outputs before each (S, n_past_y, ny)
-    u: Array  # (S, H, nu)
-    y: Array  # (S, H, ny)
-    weight: Array  # (S, H, ny)
-
-    def __len__(self) -> int:
-        return len(self.u)
+_SIGNALS = "u", "y", "counts"
 
 
 class ScaledSimulator(Protocol):
@@ -57,7 +43,7 @@ class ScaledSimulator(Protocol):
 
 def segments(
     records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
-) -> Stretches | None:
+) -> SegmentBatch | None:
     """Segments of the records after their past windows, about `samples` in total, evenly spread
     where there are more; None where every record is too short for one."""
     past = past_length(context)
@@ -69,16 +55,17 @@ def segments(
     most = max(1, samples // max(lengths))
     chosen = spread(len(places), most)
     cuts = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
-    return Stretches(
-        np.stack([r.undelayed_u[k - context.n_past_u : k] for r, k, _ in cuts]),
-        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts]),
-        side_by_side([r.u[k:end] for r, k, end in cuts]),
-        side_by_side([r.y[k:end] for r, k, end in cuts]),
-        side_by_side([r.counts[k:end] for r, k, end in cuts]),
+    past_u = np.stack([r.undelayed_u[k - context.n_past_u : k] for r, k, _ in cuts])
+    past_y = np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts])
+    return SegmentBatch(
+        flat_past(past_u, past_y),
+        *(side_by_side([getattr(r, name)[k:end] for r, k, end in cuts]) for name in _SIGNALS),
+        past_u=past_u,
+        past_y=past_y,
     )
 
 
-def simulation_error(simulate: ScaledSimulator, data: Stretches) -> float:
+def simulation_error(simulate: ScaledSimulator, data: SegmentBatch) -> float:
     """Weighted mean squared error over samples and channels, infinite where it diverges."""
     with np.errstate(all="ignore"):
         misfit = simulate(data.past_u, data.past_y, data.u) - data.y

@@ -280,10 +280,10 @@ class SegmentBatch(NamedTuple):
     y: AnyArray  # Outputs after it (B, T, ny)
     weight: AnyArray  # (B, T, ny), 0 where an output was not measured or does not count
     lengths: tuple[int, ...] = ()  # Samples of each record without the padding; () of segments
-    past_u: AnyArray | None = None
-    """Inputs of records as past windows show them (B, n_past_u + T, nu): sample k's window begins
-    at k; None of segments."""
-    past_y: AnyArray | None = None  # Outputs likewise (B, n_past_y + T, ny)
+    past_u: AnyArray = None
+    """Inputs before each (B, n_past_u, nu), where these are kept apart. Of records with those after
+    them (B, n_past_u + T, nu), as past windows show them: sample k's window begins at k."""
+    past_y: AnyArray = None  # Outputs likewise (B, n_past_y, ny) or (B, n_past_y + T, ny)
 
     def windows_at(self, record: Indices, sample: Indices) -> AnyArray:
         """Past windows (N, d) before samples (N,) of records (N,)."""
@@ -291,7 +291,6 @@ class SegmentBatch(NamedTuple):
         each = (
             p[record[:, None], rows(sample, p.shape[1] - length)]
             for p in (self.past_u, self.past_y)
-            if p is not None
         )
         return flat_past(*each)
 
