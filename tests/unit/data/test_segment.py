@@ -24,5 +24,5 @@ def test_a_simulated_segment_can_be_simulated_again() -> None:
     assert len(again.part(0, 2).y) == len(again.part(0, 2).y_hat) == 2
     later = again.part(1, 3)
     assert np.array_equal(later.past_u, U[1:3])
-    assert np.array_equal(later.past_y, np.concatenate([Y[1:2], again.y[:1]]))
+    np.testing.assert_array_equal(later.past_y, np.concatenate([Y[1:2], again.y[:1]]))
     assert later.start == again.start + 1

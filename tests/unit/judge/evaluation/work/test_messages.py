@@ -123,7 +123,7 @@ def work(problem: Problem, **changes: object) -> tuple[bytes, bytes]:
     rule = problem.protocol
     digest, raw = encode_data(fold_data(make_folds(problem.train, rule)[0], rule))
     made = FoldWork(
-        "", digest, 1, arx(1), search_context(problem, 1), LIMITS, Isolation.PROCESS, ()
+        "", digest, arx(1), search_context(problem, 1), LIMITS, Isolation.PROCESS, ()
     )
     return encode_work(replace(made, **changes), installation()), raw  # type: ignore[arg-type]
 
