@@ -279,7 +279,7 @@ class SegmentBatch(NamedTuple):
     u: AnyArray  # Inputs after it (B, T, nu)
     y: AnyArray  # Outputs after it (B, T, ny)
     weight: AnyArray  # (B, T, ny), 0 where an output was not measured or does not count
-    lengths: tuple[int, ...] = ()  # Samples of each record without the padding; () of segments
+    lengths: AnyArray = ()  # Samples of each record without the padding (B,); () of segments
     past_u: AnyArray = None
     """Inputs before each (B, n_past_u, nu), where these are kept apart. Of records with those after
     them (B, n_past_u + T, nu), as past windows show them: sample k's window begins at k."""

@@ -122,9 +122,7 @@ def test_an_invalid_answer_is_no_result(problem: Problem, spoil: Callable[[bytes
 def work(problem: Problem, **changes: object) -> tuple[bytes, bytes]:
     rule = problem.protocol
     digest, raw = encode_data(fold_data(make_folds(problem.train, rule)[0], rule))
-    made = FoldWork(
-        "", digest, arx(1), search_context(problem, 1), LIMITS, Isolation.PROCESS, ()
-    )
+    made = FoldWork("", digest, arx(1), search_context(problem, 1), LIMITS, Isolation.PROCESS, ())
     return encode_work(replace(made, **changes), installation()), raw  # type: ignore[arg-type]
 
 
