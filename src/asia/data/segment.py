@@ -66,11 +66,16 @@ class SimulatedSegment(Segment):
     def part(self, first: int, stop: int) -> SimulatedSegment:
         """Return the samples from `first` up to `stop`, with the past windows before them."""
         rows = slice(first, stop)
-        u, y = np.concatenate([self.past_u, self.u]), np.concatenate([self.past_y, self.y])
+
+        def before(past: Array, values: Array) -> Array:
+            if first >= len(past):
+                return values[first - len(past) : first]
+            return np.concatenate([past, values[:first]])[first:]
+
         return replace(
             self,
-            past_u=u[first : first + len(self.past_u)],
-            past_y=y[first : first + len(self.past_y)],
+            past_u=before(self.past_u, self.u),
+            past_y=before(self.past_y, self.y),
             u=self.u[rows],
             y=self.y[rows],
             y_hat=self.y_hat[rows],

@@ -67,11 +67,10 @@ def windows(
 ) -> SimulatedSegment:
     """Cut blocks into a batch of windows, chosen as by `_places`, on straight lines where no output
     was measured."""
-    parts: list[SimulatedSegment] = []
-    for i, k in _places(blocks, length, first=first):
-        whole = blocks[i].simulated(y_hat[i])
-        parts.append(replace(whole, y=whole.complete_y).part(k, k + length))
-    return stacked(parts)
+    each = [block.simulated(y) for block, y in zip(blocks, y_hat, strict=True)]
+    each = [replace(one, y=one.complete_y) for one in each]
+    places = _places(blocks, length, first=first)
+    return stacked([each[i].part(k, k + length) for i, k in places])
 
 
 def _earlier_inputs(blocks: Sequence[Segment], length: int, *, first: bool) -> Array:
