@@ -358,7 +358,7 @@ def measure(channel: Channel, level: Isolation, without: Collection[Layer], bits
         context = Context((Signal("u"),), (Signal("y"),), 1.0, 1, 1)
         try:
             with open_worker(level, LIMITS, without=without) as worker:
-                curve = worker.fit(source, [record], context).curve
+                curve = worker.fit(source, [record], context)[0]
                 heard.extend(curve[:, 1].tolist())
         except CandidateError as error:
             failed.append(error.detail.strip().splitlines()[-1])

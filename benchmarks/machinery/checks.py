@@ -25,9 +25,8 @@ import numpy as np
 from asia.agents.library.registry import all_families
 from asia.candidate import Context
 from asia.data.trajectory import Signal, Trajectory
-from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
-from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import machine, open_worker, probe

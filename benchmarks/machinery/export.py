@@ -47,7 +47,7 @@ def main() -> None:
     span = np.array([[-3.0, 3.0]])
     given = ExportModel(
         "drawn", "refit", "export", low, context.inputs, context.outputs, 0.1, span, span,
-        window.first(100),
+        window.part(0, 100),
     )  # fmt: skip
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, {SAMPLES} samples")
     for name in ("c", "onnx", "fmu", "casadi", "numpy"):

@@ -20,13 +20,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from asia.errors import Reason
-from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.judge.scoring.outcome import Failure, FoldRecord, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.chain import BEGIN, Chain, encode
 from asia.ledger.events import Evaluated, Event, Proposed, ReferenceScored, Started
@@ -147,28 +147,29 @@ def _events(
         )  # fmt: skip
         if number % 20 == 0:
             failure = Failure(Reason.CRASH, "Traceback\nValueError: " + "x" * 200, 1)
-            yield Evaluated(number, "crash", failure, (), None, 1.0, isolation="namespace")
+            yield Evaluated(number, "crash", failure, None, 1.0, isolation="namespace")
             continue
-        outcome = _score(random, folds)
+        outcome = _score(random, folds, files)
         status = "keep" if outcome.value < best else "discard"
         best = min(best, outcome.value)
-        records = tuple(_fold(files, random) for _ in range(folds))
-        yield Evaluated(number, status, outcome, records, None, 1.0, isolation="namespace")
+        yield Evaluated(number, status, outcome, None, 1.0, isolation="namespace")
 
 
-def _score(random: np.random.Generator, folds: int) -> Score:
+def _score(random: np.random.Generator, folds: int, files: _Files | None = None) -> Score:
+    """files: where a fitted candidate keeps its artifacts."""
     values = random.uniform(0.1, 1.0, folds)
-    return Score(
-        float(values.mean()),
-        tuple(FoldScore(v, (v,), (v,), (1 - v,), (0.9,)) for v in values.tolist()),
-    )
+    scores = [FoldRecord(v, (v,), (v,), (1 - v,), (0.9,)) for v in values.tolist()]
+    if files is not None:
+        scores = [_fitted(one, files, random) for one in scores]
+    return Score(float(values.mean()), tuple(scores))
 
 
-def _fold(files: _Files, random: np.random.Generator) -> FoldRecord:
+def _fitted(score: FoldRecord, files: _Files, random: np.random.Generator) -> FoldRecord:
     model, y_hat, curve = (files.put(random.bytes(n)) for n in (1500, 4000, 800))
-    value = float(random.uniform())
-    numbers = random.uniform(size=8).tolist()
-    return FoldRecord(model, y_hat, curve, Diagnostics(*numbers), value)
+    return replace(
+        score, model=model, y_hat=y_hat, curve=curve, fit_seconds=float(random.uniform()),
+        diagnostics=Diagnostics(*random.uniform(size=8).tolist()),
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ from asia.data import Array, Signal, Trajectory
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.availability import probe
-from asia.judge.sandbox.types import FitReply, Isolation, Limits
+from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
@@ -154,10 +154,12 @@ class Watched:
     worker: Worker
     clock: Clock
 
-    def fit(self, source: str, trajectories: Sequence[Trajectory], context: Context) -> FitReply:
+    def fit(
+        self, source: str, trajectories: Sequence[Trajectory], context: Context
+    ) -> tuple[Array, str, float]:
         """As `Worker.fit`."""
         reply = self.worker.fit(source, trajectories, context)
-        self.clock.imported, self.clock.fit = reply.curve[0, 1], reply.curve[1, 1]
+        self.clock.imported, self.clock.fit = reply[0][0, 1], reply[0][1, 1]
         return reply
 
     def count_compiling(self) -> None:

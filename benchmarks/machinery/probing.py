@@ -24,8 +24,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array
-from asia.judge.evaluation.results import score_outputs
-from asia.judge.scoring.outcome import Failure, Score
+from asia.judge.scoring.outcome import Failure, Score, score_outputs
 from asia.models import linear
 from asia.models._least_squares import LevenbergMarquardt
 from asia.problem.folds import Fold, make_folds

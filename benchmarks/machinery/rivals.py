@@ -21,7 +21,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 
-from asia.ledger.evidence import findings_of
+from asia.ledger.evidence import folds_of
 from asia.ledger.run import Run, open_run
 from asia.ledger.view import Experiment
 from asia.presentation.experiments import decision_text
@@ -71,7 +71,7 @@ def experiments(run: Run, folder: Path) -> Iterator[Row]:
             "family": e.proposed.family,
             **{key: v if isinstance(v, int | float | str) else str(v) for key, v in pairs},
         }
-        numbers = [one.numbers for one in findings_of(run.store, e) if one.numbers]
+        numbers = [one.numbers for one in folds_of(run.store, e) if one.numbers]
         facts = {
             "number": e.number, "title": e.proposed.title, "hypothesis": e.proposed.hypothesis,
             "status": e.result.status, "reason": decision_text(e, run.view),

@@ -26,9 +26,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
-from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.outcome import FoldScore, Score
-from asia.judge.scoring.residuals import Diagnostics
+from asia.judge.scoring.outcome import FoldRecord, Score
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Proposed, ReferenceScored, Started
@@ -138,10 +136,12 @@ class Writer:
         title = f"state space with {4 + n % 60} neurons and a delay of {n % 7} samples"
         words = ("explore", "state_space", title, "a slow state is missing", "V below the best")
         self._chain.append(Proposed(n, max(1, n - 1) if n > 1 else None, *words, source, str(n)))
-        blank = Diagnostics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        folds = tuple(FoldRecord(source, y_hat, source, blank, 1.0) for y_hat in self._outputs)
-        scores = tuple(FoldScore(value, (value,), (value,), (50.0,), (0.75,)) for _ in folds)
-        self._chain.append(Evaluated(n, status, Score(value, scores), folds, None, 2.0))
+        numbers = value, (value,), (value,), (50.0,), (0.75,)
+        folds = tuple(
+            FoldRecord(*numbers, model=source, y_hat=y_hat, curve=source, fit_seconds=1.0)
+            for y_hat in self._outputs
+        )
+        self._chain.append(Evaluated(n, status, Score(value, folds), None, 2.0))
         return n
 
     def _make_outputs(self) -> list[str]:

@@ -133,7 +133,7 @@ def ready(family: Family, setting: Setting) -> Ready | str:
     spans = [np.stack([s.min(axis=0), s.max(axis=0)], axis=1) for s in (record.u, record.y)]
     export = ExportModel(
         f"{family.name}, {setting.name}", "refit", "made_up", low, context.inputs,
-        context.outputs, context.sampling_time, spans[0], spans[1], windows[0].first(10),
+        context.outputs, context.sampling_time, spans[0], spans[1], windows[0].part(0, 10),
     )  # fmt: skip
     return Ready(export, tuple(windows))
 

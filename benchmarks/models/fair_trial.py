@@ -17,10 +17,9 @@ from pathlib import Path
 from statistics import geometric_mean
 
 from asia.agents.library.registry import family
-from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.evaluation.references import LINEAR, best_linear
-from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import probe

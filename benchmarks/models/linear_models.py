@@ -29,7 +29,7 @@ from scipy.optimize import approx_fprime, fsolve
 
 import asia
 from asia.export.linear import LinearPoint
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import OperatingPoint, joined, linearised, operating_points
 from asia.lowering.program import LoweredModel

@@ -22,10 +22,9 @@ from scipy.signal import lfilter
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.evaluation.references import best_linear
-from asia.judge.evaluation.results import score_outputs
-from asia.judge.scoring.outcome import Score
+from asia.judge.scoring.outcome import Score, score_outputs
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem, prepared
@@ -91,8 +90,7 @@ class InProcess:
             outputs.append([
                 model.simulate(c.past_u[None], c.past_y[None], c.u[None])[0] for c in cases
             ])  # fmt: skip
-            known = SimpleNamespace(parameters=tuple(model.parameters().items()))
-            findings.append(SimpleNamespace(findings=known))
+            findings.append(SimpleNamespace(parameters=tuple(model.parameters().items())))
         outcome = score_outputs(self.folds, outputs, self.problem.protocol.metric)
         self.sources[id(outcome)] = source
         self.outcomes.append(outcome)

@@ -28,7 +28,7 @@ from option_systems import (
 )
 
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation

@@ -21,10 +21,9 @@ import numpy as np
 
 from asia import run
 from asia.agents import AgentView, Proposal
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, FoldRecord
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
-from asia.judge.scoring.outcome import Score
+from asia.judge.scoring.outcome import FoldRecord, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import replay
 from asia.problem.load import load_problem
@@ -103,8 +102,7 @@ class _Drawn(Evaluator):
         del source, start
         self.fits += 1
         value = float(np.exp(self._scatter * self._random.normal()))
-        fold = SimpleNamespace(y_hat=str(value))
-        return Evaluation(Score(value, ()), (cast(FoldRecord, fold),))
+        return Evaluation(Score(value, (FoldRecord(value, (), (), (), (), y_hat=str(value)),)))
 
     def objection(self, source: str, evaluation: object) -> None:
         """None."""
@@ -128,7 +126,7 @@ def drawn(random: np.random.Generator, retests: int, scatter: float) -> tuple[in
             events += [
                 Proposed(number, None, "explore", "f", name, "h", "e", name, name),
                 Evaluated(
-                    number, "keep", found.evaluation.outcome, (), None, 0.0, retests=found.retests
+                    number, "keep", found.evaluation.outcome, None, 0.0, retests=found.retests
                 ),
             ]
     return kept, evaluator.fits

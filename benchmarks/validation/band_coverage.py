@@ -25,7 +25,7 @@ import numpy as np
 
 from asia.data import Array, Signal, Trajectory
 from asia.data.segment import Segment
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.scoring.bands import HeldOutErrors, region_of
 from asia.problem.folds import make_folds, whole

@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -26,7 +26,6 @@ from scipy.signal import lfilter
 from asia.analysis.verdict import BOUNDED, Usability, usability
 from asia.data import Array
 from asia.data.segment import Segment
-from asia.judge.evaluation.results import FoldRecord
 from asia.judge.scoring.bands import HeldOutErrors, calibrate, error_sizes
 from asia.judge.scoring.checks.check import Check
 from asia.judge.scoring.checks.errors import check_bands, check_overfit
@@ -158,15 +157,15 @@ def events(
 ) -> list[object]:
     """Lines of the ledger: one experiment, its refit, its stress simulation and validation."""
     scale = np.array([y.std()])
-    scores, evidence, train, held, blocks, errors = [], [], [], [], [], []
+    scores, train, held, blocks, errors = [], [], [], [], []
     for part, y_hat in zip(parts, answers, strict=True):
         score = score_fold([y[part, None]], [y_hat[part, None]], scale, "rmse")
         rest = np.setdiff1d(np.arange(len(y)), part)
         train.append(float(np.sqrt(np.mean((y - y_hat)[rest] ** 2)) / scale[0]))
         held.append(score.value)
         figures = Diagnostics(train[-1], 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
-        scores.append(score)
-        evidence.append(FoldRecord("0" * 64, "0" * 64, "0" * 64, figures, 1.0))
+        names = dict.fromkeys(("model", "y_hat", "curve"), "0" * 64)
+        scores.append(replace(score, **names, diagnostics=figures, fit_seconds=1.0))
         inputs, outputs = u[:, None], y[:, None]
         held_out = Segment(inputs[:0], outputs[:0], inputs[part], outputs[part], start=int(part[0]))
         blocks.append(held_out.simulated(y_hat[part, None]))
@@ -183,7 +182,7 @@ def events(
         Started("made", "made", "expert", 0, 1, None, ("y",), "0" * 64, "1" * 64, None,
                 "landlock", (), {}),
         Proposed(1, None, "explore", "linear", "t", "h", "e", "0" * 64, "1"),
-        Evaluated(1, "keep", combine(scores), tuple(evidence), None, 1.0),
+        Evaluated(1, "keep", combine(scores), None, 1.0),
         Stopped("budget"),
         Refitted(1, None, "none", check=compared, use="ensemble", reason="", stress=(test,)),
         Validated(1, "ensemble", "", "", recorded, "0" * 64, 0, 0, 0),

@@ -19,8 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from asia.interfaces.workspace.tools import LocalFold, WorkspaceTools
+from asia.interfaces.workspace.tools import Fitted, WorkspaceTools
 from asia.judge.scoring.residuals import PartKind, cross_correlation, independent_band
+from asia.problem.folds import Fold, whole
+from asia.problem.protocol import ProtocolRule
 
 TRIES = 6
 LAGS = 40
@@ -140,14 +142,15 @@ def rules(tools: WorkspaceTools) -> tuple[Rule, ...]:
     )
 
 
-def look(found: LocalFold) -> Evidence:
+def look(fold: Fold, found: Fitted, rule: ProtocolRule) -> Evidence:
     """The evidence of a fold; of several outputs and inputs the worst."""
     shares: dict[int, float] = {}
-    for one in found.residuals(held_out=False):
+    record, fit = found
+    for one in record.residuals:
         if one.kind is PartKind.OUTPUT:
             shares[one.output] = shares.get(one.output, 0.0) + one.share
     follows, memory = [0.0], [0.0]
-    pairs = list(zip(found.training, found.training_y_hat, strict=True))
+    pairs = list(zip(whole(fold.train, rule), fit.train_y_hat, strict=True))
     for k in range(pairs[0][1].shape[1]):
         e = [block.y[:, k] - y_hat[:, k] for block, y_hat in pairs]
         memory.append(float(cross_correlation(e, e, 5)[-1]))
@@ -176,10 +179,10 @@ def search(tools: WorkspaceTools) -> Settings:
     number, value = handed_in(best, "the equations as they are given", None)
     tried: set[Move] = set()
     for _ in range(TRIES - 1):
-        folds = tools.evaluate("candidate.py")
-        each = [look(one) for one in folds]
-        for one, seen in zip(folds, each, strict=True):
-            print(f"fold {one.fold.index + 1}: {seen}")
+        pairs = zip(tools.folds, tools.evaluate("candidate.py"), strict=True)
+        each = [look(fold, found, tools.rule) for fold, found in pairs]
+        for fold, seen in zip(tools.folds, each, strict=True):
+            print(f"fold {fold.index + 1}: {seen}")
         due = next_move(known, mean_of(each), tried)
         if due is None:
             print("no rule applies to the residuals any more: I stop here\n")

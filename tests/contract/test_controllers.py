@@ -10,7 +10,7 @@ import pytest
 from asia.errors import Reason, UserError
 from asia.judge.evaluation.control import closed_loop, prepare_control
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import probe
@@ -63,10 +63,10 @@ def test_the_loop_is_that_of_plant_and_controller(problem: Problem, evaluator: E
     assert isinstance(found.outcome, Score)
     expected = expected_responses(problem)
     simulated = fold_outputs(found.artifacts, found.folds, evaluator.data.folds)
-    for fold, each, findings in zip(evaluator.data.folds, simulated, found.findings, strict=True):
+    for fold, each, record in zip(evaluator.data.folds, simulated, found.folds, strict=True):
         for block, y_hat in zip(fold.held_out, each, strict=True):
             assert np.allclose(y_hat, expected[block.record], rtol=0, atol=1e-12)
-        assert dict(findings.parameters) == {"gain": 1.0}
+        assert dict(record.parameters) == {"gain": 1.0}
     # V: RMSE over the tolerance, mean over the signals, then over the folds.
     parts = [
         np.mean(

@@ -7,8 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 from asia.errors import CandidateError, Reason
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker

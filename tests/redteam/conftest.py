@@ -81,7 +81,7 @@ class Arena:
         """Run each of these codes in one worker; return an error's name or `done` for each."""
         with open_worker(self.level, Limits(30.0, 30.0, 2048, 64)) as worker:
             source = self.filled(source_of.steps(attempts))
-            return said_steps(worker.fit(source, self.records, self.context).output)
+            return said_steps(worker.fit(source, self.records, self.context)[1])
 
     def survivors(self) -> list[str]:
         """Processes of this arena that still live, zombies included."""

@@ -123,5 +123,5 @@ def test_a_fork_that_asks_too_ends_the_fit_or_is_one_more_call(arena):
 def test_an_ordinary_fit_is_served(arena):
     error, sizes = scored(arena, candidate(fit="print(context.validation_score(Model()))"))
     assert error is None
-    assert arena.reply.output == "0.5\n"
+    assert arena.reply[1] == "0.5\n"
     assert len(sizes) == 1

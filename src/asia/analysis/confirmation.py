@@ -12,9 +12,9 @@ import numpy as np
 from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import derive_seed, same_simulations
+from asia.judge.evaluation.fold_fits import derive_seed
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.outcome import Failure
+from asia.judge.scoring.outcome import Failure, same_simulations
 from asia.judge.scoring.repeated_fits import (
     Interval,
     RepeatedFits,

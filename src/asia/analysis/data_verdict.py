@@ -16,7 +16,7 @@ from asia._statement import LEAST_FIT
 from asia.data.statistics import delays, transfers
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.models._linear.fit import Refinement
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import scaled, shortened

@@ -50,7 +50,7 @@ from asia.judge.scoring.checks.validation_data import (
 from asia.ledger.artifacts import without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import RecordedCheck, Use, Validated
-from asia.ledger.evidence import findings_of, identified, put_curves
+from asia.ledger.evidence import folds_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.view import Experiment
 from asia.problem.check import responses
@@ -369,23 +369,23 @@ class _Validation:
 
     def _check_overfit(self, found: SimulatedSegments) -> tuple[Check, ...]:
         """Check for overfitting; () for an older ledger."""
-        errors = findings_of(self.run.store, self.best)
-        if not errors:
+        folds = folds_of(self.run.store, self.best)
+        if not all(f.errors for f in folds):
             return ()
-        train = [float(np.mean(f.train_errors)) for f in errors]
-        held = [float(np.mean(f.errors)) for f in errors]
+        train = [float(np.mean(f.train_errors)) for f in folds]
+        held = [float(np.mean(f.errors)) for f in folds]
         named = identified(self.run)
         apart = () if named is None else named.disagreeing
-        numbers = [f.numbers for f in errors if f.numbers is not None]
+        numbers = [f.numbers for f in folds if f.numbers is not None]
         return (check_overfit(train, held, found, apart, max(numbers, default=None)),)
 
     def _training_records(self) -> tuple[Check, ...]:
         """Show which checks do not pass on the training records of a fold, which agents see and
         `asia show` prints; () where all pass."""
-        errors = findings_of(self.run.store, self.best)
+        folds = folds_of(self.run.store, self.best)
         failed = [
             f"{', '.join(one.name for one in fold.checks)} (fold {number})"
-            for number, fold in enumerate(errors, 1)
+            for number, fold in enumerate(folds, 1)
             if fold.checks
         ]
         if not failed:

@@ -8,11 +8,17 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.bands import KNOWN_WITHIN
 from asia.judge.scoring.checks.check import ALARM_RATE, Verdict
 from asia.judge.scoring.confirmation import FAR_ABOVE_V
-from asia.judge.scoring.outcome import USABLE_SHARE, Score, explained_variance, folds_below
+from asia.judge.scoring.outcome import (
+    SUSPICIOUS_RATIO,
+    USABLE_SHARE,
+    Score,
+    consistency,
+    explained_variance,
+    folds_below,
+)
 from asia.ledger.events import BOUNDED_REACH, TestedModel
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.view import BELOW_TRUTH, SearchView

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -61,7 +63,38 @@ class SimulatedSegment(Segment):
         """Measured outputs (H, ny), simulated plus residual where an output was not measured."""
         return self.y_hat + self.residual if np.isnan(self.y).any() else self.y
 
-    def first(self, samples: int) -> SimulatedSegment:
-        """Return a segment of at most so many samples."""
-        cut = slice(samples)
-        return replace(self, u=self.u[cut], y=self.y[cut], y_hat=self.y_hat[cut])
+    def part(self, first: int, stop: int) -> SimulatedSegment:
+        """Return the samples from `first` up to `stop`, with the past windows before them."""
+        rows = slice(first, stop)
+
+        def before(past: Array, values: Array) -> Array:
+            if first >= len(past):
+                return values[first - len(past) : first]
+            return np.concatenate([past, values[:first]])[first:]
+
+        return replace(
+            self,
+            past_u=before(self.past_u, self.u),
+            past_y=before(self.past_y, self.y),
+            u=self.u[rows],
+            y=self.y[rows],
+            y_hat=self.y_hat[rows],
+            start=self.start + first,
+        )
+
+
+S = TypeVar("S", bound=Segment)
+
+
+def stacked(segments: Sequence[S]) -> S:
+    """Return a batch of segments of one length: each array has a leading axis. A single one, which
+    may be long, is not copied; name, record and start are those of the first."""
+    first = segments[0]
+    arrays = {
+        one.name: getattr(first, one.name)[None]
+        if len(segments) == 1
+        else np.stack([getattr(segment, one.name) for segment in segments])
+        for one in fields(first)
+        if isinstance(getattr(first, one.name), np.ndarray)
+    }
+    return replace(first, **arrays)

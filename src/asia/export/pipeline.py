@@ -262,7 +262,7 @@ def measured_window(
     acting = np.concatenate([window.past_u, window.u])
     rows = np.arange(len(acting))[:, None] - longest + np.array(late)
     u = acting[np.clip(rows, 0, len(acting) - 1), np.arange(acting.shape[1])]
-    shorter = window.first(len(window.u) - longest)
+    shorter = window.part(0, len(window.u) - longest)
     return replace(shorter, past_u=u[: n + longest], u=u[n + longest :])
 
 
@@ -424,7 +424,7 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
             sampling_time=problem.sampling_time,
             input_range=_range(u),
             output_range=_range(y),
-            example=windows[0].first(_EXAMPLE),
+            example=windows[0].part(0, _EXAMPLE),
             bands=() if named is None else _bands(run, named, windows[0], done.decimate, isolation),
             notes=notes,
         ),

@@ -10,7 +10,7 @@ from typing import Self
 
 from asia._files import open_ordinary
 from asia.errors import UserError
-from asia.judge.evaluation.artifacts import ArtifactStore
+from asia.judge.artifacts import ArtifactStore
 from asia.ledger.chain import write_whole, writing
 
 MOST_BYTES = 1 << 30

@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from pydantic import AliasChoices, Field, TypeAdapter
+from pydantic import AliasChoices, Field, TypeAdapter, model_validator
 
 from asia._timer import TimeSpent
-from asia.judge.evaluation.artifacts import ArtifactName
-from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.checks.check import Verdict
+from asia.judge.artifacts import ArtifactName
+from asia.judge.scoring.checks.check import RecordedCheck
 from asia.judge.scoring.confirmation import Confirmation
 from asia.judge.scoring.euclidean_error import MeeTable
-from asia.judge.scoring.outcome import Failure, Outcome, TestScore
+from asia.judge.scoring.outcome import Failure, FoldRecord, Outcome, TestScore
 from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
 from asia.problem.protocol import EarlyStopping, ShownResidual
 
@@ -466,6 +465,19 @@ class Variant:
     """Whether its source was scored: the first variant that is no further behind than that."""
 
 
+def _with_scores(fields: Any) -> Any:
+    """Join the scores of the folds with their records, which older ledgers hold apart. Records
+    without a score are left out."""
+    if isinstance(fields, dict) and "folds" in fields:
+        known: dict[str, Any] = dict(fields)
+        records, outcome = known.pop("folds"), dict(known["outcome"])
+        if records and len(outcome.get("folds", ())) == len(records):
+            pairs = zip(outcome["folds"], records, strict=True)
+            outcome["folds"] = [{**score, **record} for score, record in pairs]
+        return {**known, "outcome": outcome}
+    return fields
+
+
 @dataclass(frozen=True)
 class Evaluated:
     """Outcome of a candidate."""
@@ -473,7 +485,6 @@ class Evaluated:
     experiment: int
     status: Status
     outcome: Outcome
-    folds: tuple[FoldRecord, ...]
     output: ArtifactName | None
     """Its prints; None where it printed nothing."""
     seconds: float
@@ -509,6 +520,12 @@ class Evaluated:
     source: Annotated[ArtifactName | None, _omitted(None)] = None
     """The variant that was scored; None for the candidate as it was proposed."""
     event: Literal["evaluated"] = "evaluated"
+    _earlier = model_validator(mode="before")(_with_scores)
+
+    @property
+    def folds(self) -> tuple[FoldRecord, ...]:
+        """The records of all folds; () where one of them failed."""
+        return self.outcome.folds
 
 
 @dataclass(frozen=True)
@@ -518,7 +535,6 @@ class Landed:
 
     experiment: int
     outcome: Outcome
-    folds: tuple[FoldRecord, ...]
     output: ArtifactName | None
     seconds: float
     """Duration of the fit and its simulations."""
@@ -527,6 +543,12 @@ class Landed:
     source: Annotated[ArtifactName | None, _omitted(None)] = None
     """As in `Evaluated`."""
     event: Literal["landed"] = "landed"
+    _earlier = model_validator(mode="before")(_with_scores)
+
+    @property
+    def folds(self) -> tuple[FoldRecord, ...]:
+        """The records of all folds; () where one of them failed."""
+        return self.outcome.folds
 
 
 @dataclass(frozen=True)
@@ -709,20 +731,6 @@ class Unsealed:
 
 
 # The validation report of a finished model: what each check said.
-
-
-@dataclass(frozen=True)
-class RecordedCheck:
-    """One check of a validation report, as it was printed."""
-
-    name: str
-    """A few words, unique within a validation report."""
-    verdict: Verdict
-    sentence: str
-    cause: str = ""
-    """Probable cause; "" if none is named."""
-    weight: float = 0.0
-    """Importance among the checks that do not pass."""
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from asia._statement import NOT_IDENTIFIABLE, UNSETTLED, Statement, stated
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
-from asia.judge.evaluation.results import FoldFindings, FoldRecord, get_findings
 from asia.judge.scoring.checks.check import Check, CheckCurve
+from asia.judge.scoring.outcome import FoldRecord
 from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.judge.scoring.residuals import Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
@@ -60,7 +60,7 @@ class ParameterSpread:
         return self.changes_sign or self.spread > LARGEST_SPREAD
 
 
-def parameter_spreads(folds: Sequence[FoldFindings]) -> tuple[ParameterSpread, ...]:
+def parameter_spreads(folds: Sequence[FoldRecord]) -> tuple[ParameterSpread, ...]:
     """Return the spread of each parameter that all folds name, largest disagreement first."""
     tables = [dict(one.parameters) for one in folds]
     names = [n for n in (tables[0] if tables else {}) if all(n in table for table in tables)]
@@ -178,15 +178,13 @@ def get_curves(store: Store, name: str) -> tuple[DrawnCheck, ...]:
     return store.parse(name, _DRAWN)
 
 
-def findings_of(store: Store, experiment: Experiment) -> tuple[FoldFindings, ...]:
-    """Return the findings of each fold; () for a failure and in older ledgers.
+def folds_of(store: Store, experiment: Experiment) -> tuple[FoldRecord, ...]:
+    """Return the whole record of each fold; () where a fold failed.
 
     Held-out errors are left out if the experiment has no score: an agent must not learn the degree
     to which a candidate was found suspect.
     """
-    result = experiment.result
-    names = [fold.findings for fold in result.folds] if result else []
-    found = [get_findings(store, name) for name in names if name is not None]
+    found = [fold.loaded(store) for fold in experiment.folds]
     if experiment.score is None:
         found = [replace(one, errors=(), steps=(), held_out_residuals=()) for one in found]
     return tuple(found)
@@ -258,13 +256,11 @@ class ExperimentEvidence:
 
     setting: RunSettings
     folds: tuple[FoldRecord, ...]
-    """Its folds; () for a failure."""
+    """Its folds, whole; () for a failure."""
     held_out: tuple[str, ...]
     """Description of the held-out part of each fold; "" in older ledgers."""
     values: tuple[float | None, ...]
     """V of each fold; None where it is not reported."""
-    findings: tuple[FoldFindings, ...]
-    """Findings of each fold; () in older ledgers."""
     residuals: tuple[SharedResidual, ...]
     """Ranges in which it is too high or too low on the training records, largest first."""
     held_out_residuals: tuple[SharedResidual, ...]
@@ -285,7 +281,7 @@ class ExperimentEvidence:
     @property
     def recorded(self) -> bool:
         """Return whether the ledger holds findings, which older ledgers lack."""
-        return bool(self.printed or self.failed_fold or self.findings)
+        return bool(self.printed or self.failed_fold or any(one.findings for one in self.folds))
 
 
 def settings_of_run(directory: Path) -> RunSettings:
@@ -311,25 +307,24 @@ def evidence_of(
     """Collect the evidence on an experiment that has a result."""
     result, score, fold_names = experiment.result, experiment.score, view.started.folds
     assert result is not None
-    findings = findings_of(store, experiment)
-    count = len(result.folds)
+    folds = folds_of(store, experiment)
+    count = len(folds)
     differences = compared_scores(experiment, view)
     noise = noise_of_repeats(view, {experiment.number, *(one.experiment for one in differences)})
     printed, failed_fold = "", ""
-    if result.output is not None and not result.folds:
+    if result.output is not None and not folds:
         printed = store.text(result.output)
     failed = experiment.failure.fold if experiment.failure else None
     if failed and failed <= len(fold_names):
         failed_fold = f"fold {failed}, {fold_names[failed - 1]}"
     return ExperimentEvidence(
         setting=setting,
-        folds=result.folds,
-        held_out=(fold_names or ("",) * count) if result.folds else (),
+        folds=folds,
+        held_out=(fold_names or ("",) * count) if folds else (),
         values=tuple(f.value for f in score.folds) if score and score.folds else (None,) * count,
-        findings=findings if len(findings) == count else (),
-        residuals=shared_residuals([one.residuals for one in findings]),
-        held_out_residuals=shared_residuals([one.held_out_residuals for one in findings]),
-        parameters=parameter_spreads(findings),
+        residuals=shared_residuals([one.residuals for one in folds]),
+        held_out_residuals=shared_residuals([one.held_out_residuals for one in folds]),
+        parameters=parameter_spreads(folds),
         differences=differences,
         noise=noise,
         printed=printed,
@@ -638,8 +633,7 @@ def identified_by_folds(
 
 
 def _fold_tables(run: Run, experiment: Experiment) -> list[Mapping[str, float]]:
-    findings = findings_of(run.store, experiment)
-    return [dict(one.parameters) for one in findings]
+    return [dict(one.parameters) for one in folds_of(run.store, experiment)]
 
 
 def _beside_folds(run: Run, experiment: Experiment, fitted: EstimatedModel) -> IdentifiedModel:

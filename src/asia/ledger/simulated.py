@@ -1,42 +1,36 @@
 """Simulated cases of an experiment, for analysis, pictures and pages."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import PlainSerializer, PlainValidator
 
-from asia.data.segment import Segment
+from asia.data.segment import Segment, SimulatedSegment
 from asia.data.trajectory import Array, Signal
-from asia.judge.evaluation.artifacts import ArtifactStore
-from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.outcome import Score
+from asia.judge.artifacts import ArtifactStore
+from asia.judge.scoring.outcome import FoldRecord, Score
 from asia.ledger.events import Unsealed
 from asia.ledger.run import Run
 from asia.problem.folds import Fold
 
 
-@dataclass(frozen=True)
-class SimulatedCase:
-    """One case with its measured output and the simulation of a fold's model."""
+def _rows(segment: SimulatedSegment) -> dict[str, Any]:
+    """Fields of a segment, arrays as rows of numbers."""
+    values = {one.name: getattr(segment, one.name) for one in fields(segment)}
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
-    fold: int
-    """Number of the fold, from 1."""
-    held_out: bool
-    """True if the fold holds the case out; otherwise its model was fitted to it."""
-    record: str
-    """Name of the record."""
-    start: int
-    """First sample in that record, from 0."""
-    u: tuple[tuple[float, ...], ...]
-    """Inputs, a row a sample."""
-    y: tuple[tuple[float, ...], ...]
-    """Measured outputs, a row a sample."""
-    y_hat: tuple[tuple[float, ...], ...]
-    """Simulated outputs, a row a sample."""
 
-    def arrays(self) -> tuple[Array, Array, Array]:
-        """u (H, nu), y (H, ny) and y_hat (H, ny)."""
-        return np.array(self.u), np.array(self.y), np.array(self.y_hat)
+def _from_rows(values: SimulatedSegment | dict[str, Any]) -> SimulatedSegment:
+    if isinstance(values, SimulatedSegment):
+        return values
+    return SimulatedSegment(
+        **{k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in values.items()}
+    )
+
+
+_Sent = Annotated[SimulatedSegment, PlainValidator(_from_rows), PlainSerializer(_rows)]
 
 
 @dataclass(frozen=True)
@@ -53,22 +47,22 @@ class SimulatedCases:
     """Names and units of the inputs."""
     outputs: tuple[Signal, ...]
     """Names and units of the outputs."""
-    cases: tuple[SimulatedCase, ...]
-    """Cases by fold, training cases before held-out ones."""
+    cases: tuple[tuple[int, bool, _Sent], ...]
+    """Number of the fold, from 1; whether it holds the case out, or else trains on it; the case.
+    By fold, training cases before held-out ones."""
 
 
 def simulated_cases(
     fold: Fold, blocks: Sequence[Segment], y_hat: Sequence[Array], *, held_out: bool
-) -> tuple[SimulatedCase, ...]:
-    """Blocks of a fold, training or held-out ones, with their simulations (H, ny)."""
+) -> tuple[tuple[int, bool, SimulatedSegment], ...]:
+    """Blocks of a fold, training or held-out ones, with their simulations (H, ny), as
+    `SimulatedCases` holds them."""
     offsets = () if held_out else fold.offsets
     return tuple(
-        SimulatedCase(
+        (
             fold.index + 1,
             held_out,
-            b.name,
-            b.start + (offsets[b.record] if offsets else 0),
-            *(tuple(map(tuple, values.tolist())) for values in (b.u, b.y, simulated)),
+            replace(b, start=b.start + (offsets[b.record] if offsets else 0)).simulated(simulated),
         )
         for b, simulated in zip(blocks, y_hat, strict=True)
     )

@@ -129,9 +129,8 @@ def _artifacts(event: Event) -> Iterator[str]:
             yield event.curves
         case Evaluated() | Landed():
             for fold in event.folds:
-                yield from (fold.model, fold.y_hat, fold.curve)
-                if fold.findings:
-                    yield fold.findings
+                names = fold.model, fold.y_hat, fold.curve, fold.findings
+                yield from (name for name in names if name)
             yield from (one for one in (event.output, event.source) if one)
         case Exchanged():
             yield from (event.request, event.response)

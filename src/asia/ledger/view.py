@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from asia.errors import Reason, UserError
-from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.outcome import Failure, Score
+from asia.judge.scoring.outcome import Failure, FoldRecord, Score
 from asia.ledger.events import (
     Ablated,
     Confirmed,

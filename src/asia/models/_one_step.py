@@ -26,10 +26,11 @@ from asia.models._numerics.lags import (
     regressors,
 )
 from asia.models._numerics.scaling import Scaling
-from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
+from asia.models._numerics.segments import left_out_error, simulation_error
 from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
+    SegmentBatch,
     past_length,
     regress_outputs,
     shortened,
@@ -136,7 +137,7 @@ def solve(gram: Array, cross: Array, ridge: float) -> Array:
 
 
 def refine(
-    start: PolynomialRun, data: Stretches, method: LevenbergMarquardt, ridge: float
+    start: PolynomialRun, data: SegmentBatch, method: LevenbergMarquardt, ridge: float
 ) -> tuple[PolynomialRun, list[float]]:
     """Refine by Levenberg-Marquardt on the simulation error.
 
@@ -187,12 +188,12 @@ def refinement_samples(run: PolynomialRun) -> int:
     return int(np.clip(1e10 / (used.shape[1] * used.sum() ** 2), 1000, 10_000))
 
 
-def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[Array, Array]:
+def _normal(start: PolynomialRun, model: Polynomial, data: SegmentBatch) -> tuple[Array, Array]:
     """Gauss-Newton matrix (P, P) and half the gradient (P,) of the mean squared error."""
     old_u, old_y = start.history(data.past_u, data.past_y, data.u)
     lags, limits = start.history.lags, start.limits
     drive = lagged_inputs(np.concatenate([old_u, data.u], axis=1), lags)
-    batch, ny = len(data), data.y.shape[2]
+    batch, ny = len(data.u), data.y.shape[2]
     rows, columns = np.nonzero(model.used)
     free = np.arange(len(rows))
     ones = np.ones((batch, 1))

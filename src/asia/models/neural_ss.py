@@ -267,7 +267,7 @@ def _train_windowed(
         size = tree_size(starts[0])
         most = _WORK / (size**2 * (context.horizon or 1) * context.ny)
         w = cut_windows(data.every, context, int(np.clip(most, *_WINDOWS)))
-        samples = StateSamples(encoder(w.features), w.u, w.y, w.weight, known=True)
+        samples = StateSamples(encoder(w.window), w.u, w.y, w.weight, known=True)
         # The ridge of the linear model on its training windows applies to this model too.
         ridges = {name: max(r, predictor.ridge) for name, r in _ridges(c).items()}
         time = context.sampling_time

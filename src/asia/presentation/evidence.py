@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from statistics import fmean, median
 
 from asia._text import coarse, one_line
-from asia.judge.evaluation.results import POOR
-from asia.judge.evaluation.training_checks import TrainingCheck
+from asia.judge.scoring.checks.check import RecordedCheck
+from asia.judge.scoring.outcome import POOR
 from asia.ledger.events import Variant
 from asia.ledger.evidence import (
     ComparedScore,
@@ -49,10 +49,9 @@ def evidence_lines(
         lines.append(f"it failed in {one_line(evidence.failed_fold, _WIDTH)}")
     lines += parameter_lines(evidence.parameters)
     lines += _check_lines(evidence)
-    findings = evidence.findings
-    if findings:
+    if any(one.findings for one in evidence.folds):
         lines += _residual_lines(evidence, evidence.residuals, "on the training records")
-    if any(one.held_out_residuals for one in findings):
+    if any(one.held_out_residuals for one in evidence.folds):
         lines += _residual_lines(evidence, evidence.held_out_residuals, "on the held-out samples")
     return [*lines, *_printed_lines(evidence)]
 
@@ -127,20 +126,17 @@ def _fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str
     setting = evidence.setting
     names = [one_line(name, 60) for name in evidence.held_out]
     width = max(map(len, names), default=0)
-    known = evidence.findings or (None,) * len(names)
-    rows = zip(evidence.folds, names, evidence.values, known, strict=True)
-    for number, (fold, name, value, findings) in enumerate(rows, 1):
+    rows = zip(evidence.folds, names, evidence.values, strict=True)
+    for number, (fold, name, value) in enumerate(rows, 1):
         parts = [] if value is None else [f"V {error_value(value)}"]
         parts.append(f"training error {error_value(fold.diagnostics.train_error)}")
         if measured:
             spent = f"fit {coarse(fold.fit_seconds):g} s, limit {setting.fit_seconds:g} s"
-            if findings is not None and findings.compile_seconds > 0:
-                spent += f" (compilation {coarse(findings.compile_seconds):g} s)"
+            if fold.compile_seconds > 0:
+                spent += f" (compilation {coarse(fold.compile_seconds):g} s)"
             parts.append(spent)
-            if findings is not None and findings.memory_mb is not None:
-                parts.append(
-                    f"memory {coarse(findings.memory_mb):g} MB, limit {setting.memory_mb} MB"
-                )
+            if fold.memory_mb is not None:
+                parts.append(f"memory {coarse(fold.memory_mb):g} MB, limit {setting.memory_mb} MB")
         where = f"{name:<{width}}  " if width else ""
         yield f"fold {number}  {where}{'  '.join(parts)}"
 
@@ -149,7 +145,7 @@ def _output_lines(evidence: ExperimentEvidence) -> Iterator[str]:
     """A row an output where there are several, the largest error first: on each fold, on the
     training records, and at each step that the protocol names."""
     outputs = evidence.setting.outputs
-    held_out = [one for one in evidence.findings if one.errors]
+    held_out = [one for one in evidence.folds if one.errors]
     steps = [s.step for s in held_out[0].steps] if held_out else []
     if not held_out or (len(outputs) < 2 and not steps):
         return
@@ -194,9 +190,9 @@ def _check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
     """A line for each check of `asia validate` that does not pass on the training records of some
     fold, in the wording of the fold with the largest deviation.
     """
-    yield from dict.fromkeys(line for one in evidence.findings for line in one.failed)
-    made = [one.checks for one in evidence.findings if one.checks is not None]
-    found: dict[str, list[tuple[int, TrainingCheck]]] = {}
+    yield from dict.fromkeys(line for one in evidence.folds for line in one.failed)
+    made = [one.checks for one in evidence.folds if one.checks is not None]
+    found: dict[str, list[tuple[int, RecordedCheck]]] = {}
     for number, checks in enumerate(made, 1):
         for one in checks:
             found.setdefault(one.name, []).append((number, one))
@@ -248,7 +244,7 @@ def _folds_text(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
 
 def _printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:
     """The last lines that the fits printed, marked as words of the candidate."""
-    texts = [findings.printed for findings in evidence.findings] or [evidence.printed]
+    texts = [fold.printed for fold in evidence.folds] or [evidence.printed]
     for number, text in enumerate(texts, 1):
         lines = last_lines(text, max(2, _MOST_PRINTED // len(texts)))
         if not lines or (number > 1 and text == texts[0]):

@@ -7,9 +7,8 @@ from typing import Any
 
 from asia._text import one_line
 from asia._timer import duration
-from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.confirmation import Confirmation
-from asia.judge.scoring.outcome import Outcome, Score
+from asia.judge.scoring.outcome import SUSPICIOUS_RATIO, Outcome, Score, consistency
 from asia.judge.scoring.repeated_fits import RANKED
 from asia.ledger.events import Evaluated, Phase, ReferenceScored, StressTest
 from asia.ledger.evidence import incumbent_threshold

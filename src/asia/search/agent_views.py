@@ -16,10 +16,10 @@ from asia.data.standardise import standardised
 from asia.data.trajectory import Trajectory
 from asia.errors import CandidateError
 from asia.judge.evaluation.error_analysis import MissingTerm, terms_beyond_linear
-from asia.judge.evaluation.findings import known_system, search_context
+from asia.judge.evaluation.fold_fits import known_system, search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.ledger.artifacts import Store
-from asia.ledger.evidence import RunSettings, evidence_of, findings_of
+from asia.ledger.evidence import RunSettings, evidence_of, folds_of
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.evidence import evidence_lines
 from asia.problem.problem import Problem
@@ -101,7 +101,7 @@ def agent_view(
             # Without measured seconds and memory. Prompts of older ledgers must not change.
             lines = evidence_lines(found, e.seed_values, measured=False) if found.recorded else ()
             shares = dict[str, float]()
-            for one in (c for fold in found.findings for c in fold.checks or ()):
+            for one in (c for fold in found.folds for c in fold.checks or ()):
                 shares[one.name] = max(one.weight, shares.get(one.name, 0.0))
             ranked = sorted(shares.items(), key=lambda item: -item[1])
             diagnoses = tuple(ranked) if found.recorded else ()
@@ -177,6 +177,6 @@ def _trial(e: Experiment, store: Store) -> Trial:
 
 
 def _order(e: Experiment, store: Store) -> int | None:
-    tables = (dict(found.parameters) for found in findings_of(store, e))
+    tables = (dict(found.parameters) for found in folds_of(store, e))
     known = [table["order [states]"] for table in tables if "order [states]" in table]
     return round(median_high(known)) if known else None

@@ -17,11 +17,10 @@ from functools import partial
 from statistics import fmean
 
 from asia.agents.view import PARENT
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation, same_simulations
 from asia.judge.scoring.confirmation import ComparedParts, Confirmation, paired_gain
-from asia.judge.scoring.outcome import Failure, Outcome, Score
+from asia.judge.scoring.outcome import Failure, Outcome, Score, same_simulations
 from asia.judge.scoring.repeated_fits import is_lower, significance_threshold
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Fit, Proposed, Status
@@ -122,7 +121,8 @@ def decide(
                 if confirmation is not None and not confirmation.confirmed:
                     status, lowest = "unconfirmed", False
             if failure is not None:
-                evaluation = replace(evaluation, outcome=failure)
+                refused = replace(failure, folds=evaluation.folds)
+                evaluation = replace(evaluation, outcome=refused)
                 status, lowest = failure.reason.status, False
     return replace(
         decision,

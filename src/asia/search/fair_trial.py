@@ -12,7 +12,7 @@ over.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 from statistics import fmean
 from typing import TypeVar
@@ -25,9 +25,7 @@ from asia.candidate import source_digest
 from asia.data.trajectory import Array
 from asia.errors import Reason
 from asia.judge.evaluation import references
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation
-from asia.judge.scoring.outcome import Score
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView
@@ -93,9 +91,9 @@ def choice(
 
 def evaluation_of(result: Landed | Evaluated, store: Store) -> Evaluation:
     """The evaluation that was recorded. Raises UserError where its output is missing."""
+    folds = tuple(fold.loaded(store) for fold in result.folds)
     return Evaluation(
-        result.outcome,
-        result.folds if isinstance(result.outcome, Score) else (),
+        replace(result.outcome, folds=folds),
         store.text(result.output) if result.output else "",
         result.validation_scores,
         store,

@@ -15,15 +15,15 @@ from asia.candidate import ParameterEstimates
 from asia.data.statistics import integrating, largest_pole, needs_loop, unstable
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import (
+from asia.judge.evaluation.evaluator import Evaluator, Refit, RefitModel
+from asia.judge.scoring.outcome import (
     SUSPICIOUS_RATIO,
-    Refit,
-    RefitModel,
+    Failure,
     consistency,
     mean_simulation,
+    score_fold,
+    score_parts,
 )
-from asia.judge.scoring.outcome import Failure, score_fold, score_parts
 from asia.ledger.artifacts import Store
 from asia.ledger.events import (
     Feedback,
@@ -33,7 +33,7 @@ from asia.ledger.events import (
     Stack,
     StackMember,
 )
-from asia.ledger.evidence import EstimatedModel, findings_of, fold_estimates, put_estimates
+from asia.ledger.evidence import EstimatedModel, fold_estimates, folds_of, put_estimates
 from asia.ledger.run import ModelToUse
 from asia.ledger.view import Experiment, SearchView
 from asia.presentation.experiments import error_line
@@ -492,8 +492,8 @@ def _kept_estimates(store: Store, checked: CheckedRefit, best: Experiment) -> st
     """Those of the refit; without one, those of the fold models, or of the one in its place."""
     found: ParameterEstimates | EstimatedModel | None = checked.estimates
     if checked.model is None or checked.fold:
-        findings = findings_of(store, best)
-        found = fold_estimates([dict(one.parameters) for one in findings], checked.fold)
+        tables = [dict(one.parameters) for one in folds_of(store, best)]
+        found = fold_estimates(tables, checked.fold)
     if found is None or not found.parameters:
         return None
     recipe = read_recipe(store.text(best.source))

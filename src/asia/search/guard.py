@@ -12,16 +12,15 @@ from asia.candidate import library_only
 from asia.data.segment import Segment
 from asia.data.trajectory import Array
 from asia.errors import CandidateError
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.evaluation.references import MEAN_REFERENCE
-from asia.judge.evaluation.results import Evaluation, mean_simulation
 from asia.judge.scoring.confirmation import (
     ComparedParts,
     Confirmation,
     paired_gain,
     share_gained,
 )
-from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
+from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, mean_simulation, score_fold
 from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.artifacts import Store
 from asia.ledger.events import GuardLooked, GuardScore, Stack, StackMember

@@ -45,7 +45,7 @@ from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, p
 from asia.search.decision import decide
 from asia.search.final import refit_best
 from asia.search.guard import Gate
-from asia.search.pending import PendingFits, keep_folds, keep_output, keep_source
+from asia.search.pending import PendingFits, keep_outcome, keep_output, keep_source
 from asia.search.rules import stop_reason
 from asia.search.steering import Steering
 
@@ -134,10 +134,11 @@ class Loop:
         names = {reference.name for reference in self.view.references}
         with self.watch.activity(Activity.REFERENCES, swallows=True):
             for reference in score_references(self.evaluator, metric, self.problem.truth, names):
+                folds = tuple(fold.score for fold in reference.outcome.folds)
                 self.record(
                     ReferenceScored(
                         reference.name,
-                        reference.outcome,
+                        replace(reference.outcome, folds=folds),
                         reference.failed_checks,
                         source=reference.source,
                     )
@@ -285,7 +286,6 @@ class Loop:
                     experiment=experiment.number,
                     status="discard" if known.status == "keep" else known.status,
                     outcome=known.outcome,
-                    folds=known.folds,
                     output=known.output,
                     seconds=0.0,
                     duplicate_of=twin.number,
@@ -305,15 +305,14 @@ class Loop:
         )
         evaluation = decision.evaluation
         with self.watch.activity(Activity.LEDGER):
-            folds = keep_folds(self.store, evaluation)
+            outcome = keep_outcome(self.store, evaluation)
             output = keep_output(self.store, evaluation.output)
             scored = keep_source(self.store, decision.tried, proposed)
         now = time.monotonic()
         return Evaluated(
             experiment=experiment.number,
             status=decision.status,
-            outcome=evaluation.outcome,
-            folds=folds,
+            outcome=outcome,
             output=output,
             seconds=now - begin + (0.0 if fitted is None else fitted.seconds),
             deadline=decision.deadline,

@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from asia._timer import Lane
 from asia.agents.view import Agent, proposes_ahead
 from asia.errors import UserError
-from asia.judge.evaluation.background import BackgroundJob, JobSettings
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, FoldRecord
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
+from asia.judge.evaluation.workers import BackgroundJob, JobSettings
+from asia.judge.scoring.outcome import Outcome
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Landed, Proposed
 from asia.ledger.view import Experiment, SearchView
@@ -43,13 +43,14 @@ def check_steps_ahead(parallel: int, agent: Agent) -> None:
     )
 
 
-def keep_folds(store: Store, evaluation: Evaluation) -> tuple[FoldRecord, ...]:
-    """Store the large parts of the folds as artifacts and return the records."""
+def keep_outcome(store: Store, evaluation: Evaluation) -> Outcome:
+    """Store the large parts of the folds as artifacts and return the outcome without them."""
     for fold in evaluation.folds:
-        for name in (fold.model, fold.y_hat, fold.curve, fold.findings):
-            if name is not None and evaluation.artifacts is not store:
+        for name in (fold.model, fold.y_hat, fold.curve):
+            if evaluation.artifacts is not store:
                 store.put(evaluation.artifacts.get(name))
-    return evaluation.folds
+    folds = tuple(fold.stored(store) for fold in evaluation.folds)
+    return replace(evaluation.outcome, folds=folds)
 
 
 def keep_output(store: Store, output: str) -> str | None:
@@ -142,8 +143,7 @@ class PendingFits:
         self._on_landed(
             Landed(
                 experiment=proposed.experiment,
-                outcome=evaluation.outcome,
-                folds=keep_folds(self._store, evaluation),
+                outcome=keep_outcome(self._store, evaluation),
                 output=keep_output(self._store, evaluation.output),
                 seconds=seconds,
                 validation_scores=evaluation.validation_scores,

@@ -21,11 +21,10 @@ from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.evaluation.control import closed_loop, prepare_control
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import derive_seed, search_context
 from asia.judge.evaluation.plant_check import check_plant
 from asia.judge.evaluation.references import first_source
 from asia.judge.evaluation.relations import SuspicionKind
-from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor, remote_executor_of
 from asia.judge.sandbox.availability import probe

@@ -13,9 +13,8 @@ import numpy as np
 from asia.data.segment import Segment
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, UserError
-from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.euclidean_error import MeeTable, mee_table
-from asia.judge.scoring.outcome import Outcome, Score, TestScore, score_test
+from asia.judge.scoring.outcome import Outcome, Score, TestScore, score_outputs, score_test
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Event, Landed, Started, TestedModel, Unsealed, Use
 from asia.ledger.verification import check_lock
@@ -109,15 +108,16 @@ class ScoreCheck:
         """The score of the stored simulations of an experiment."""
         assert self.problem is not None
         rule = self.problem.protocol
-        if len(event.folds) != len(self._folds):
+        simulated = [one.y_hat for one in event.folds if one.y_hat]
+        if len(simulated) != len(self._folds):
             raise UserError(
-                f"{where} has V, but simulations of {len(event.folds)} folds: expected "
+                f"{where} has V, but simulations of {len(simulated)} folds: expected "
                 f"{len(self._folds)}"
             )
         try:
             y_hat = [
-                self._store.get_arrays(one.y_hat, fold.shapes)
-                for one, fold in zip(event.folds, self._folds, strict=True)
+                self._store.get_arrays(name, fold.shapes)
+                for name, fold in zip(simulated, self._folds, strict=True)
             ]
             return score_outputs(self._folds, y_hat, rule.metric)
         except (CandidateError, UserError) as error:
@@ -161,7 +161,8 @@ class ScoreCheck:
 
 def _named(outcome: Outcome) -> dict[str, Any]:
     assert isinstance(outcome, Score)
-    return {"V": outcome.value, "V of fold": tuple(map(asdict, outcome.folds))}
+    scores = tuple(asdict(one.score) for one in outcome.folds)
+    return {"V": outcome.value, "V of fold": scores}
 
 
 def _slack(metric: str) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from asia._progress import tracked
 from asia._text import one_line
-from asia.data.segment import Segment
+from asia.data.segment import Segment, SimulatedSegment
 from asia.data.trajectory import Array, filled, real_numbers
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -33,7 +33,7 @@ from asia.judge.scoring.bands import (
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
-from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
+from asia.ledger.simulated import SimulatedCases, simulated_cases
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold, cut, whole
 from asia.problem.load import load_lock
@@ -382,7 +382,7 @@ def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None
     parts = (1 + (rule.residuals == "held_out")) * len(evaluator.data.folds)
     most = _MOST_VALUES // parts // (2 * len(problem.outputs) + len(problem.inputs))
     source = run.store.text(experiment.source)
-    cases: list[SimulatedCase] = []
+    cases: list[tuple[int, bool, SimulatedSegment]] = []
     for index, (fold, kept) in enumerate(zip(evaluator.data.folds, result.folds, strict=True)):
         blocks = training_excerpt(fold, rule, most)
         try:

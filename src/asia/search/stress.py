@@ -20,9 +20,8 @@ import numpy as np
 from asia.data.segment import Segment
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import CandidateError
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import Evaluator, RefitModel
 from asia.judge.evaluation.references import LINEAR
-from asia.judge.evaluation.results import RefitModel
 from asia.ledger.artifacts import Store
 from asia.ledger.events import (
     BOUNDED_REACH,

@@ -13,8 +13,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import Reason
-from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.layers.pids import most_pids

@@ -131,7 +131,7 @@ def _models() -> dict[str, ExportModel]:
         for name, model in made.items():
             lowered = unpack(lowered_bytes(model, _PAST, _PAST, _NU, _NY))
             assert isinstance(lowered, LoweredModel), lowered
-            example = _windows(lowered)[0].first(10)
+            example = _windows(lowered)[0].part(0, 10)
             models[name] = ExportModel(
                 "made_up", "refit", "made_up", lowered, inputs, outputs, 0.5, spans, spans, example
             )

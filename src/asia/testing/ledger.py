@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 from asia.errors import Reason, UserError
-from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.judge.scoring.outcome import Failure, FoldRecord, Score
 from asia.ledger.chain import Chain, Line
 from asia.ledger.events import (
     Evaluated,
@@ -117,7 +117,7 @@ def _refused(open_ledger: Callable[[Path], OpenLedger], path: Path) -> bool:
 
 def made_up_events() -> list[Event]:
     """A search with an event of most kinds."""
-    fold = FoldScore(0.4, (0.4,), (0.1,), (50.0,), (0.75,))
+    fold = FoldRecord(0.4, (0.4,), (0.1,), (50.0,), (0.75,))
     score, digest = Score(0.4, (fold, fold)), "0" * 64
     failure = Failure(Reason.CRASH, "Traceback\nValueError: \u03b1 \x07", 1)
     return [
@@ -138,10 +138,10 @@ def made_up_events() -> list[Event]:
         ),
         ReferenceScored("linear model", score),
         Proposed(1, None, "explore", "linear", "first", "h", "e", digest, "1"),
-        Evaluated(1, "keep", score, (), None, 1.0),
+        Evaluated(1, "keep", score, None, 1.0),
         Steered("look \u201chere\u201d\n"),
         Proposed(2, 1, "refine", "linear", "second", "h", "e", digest, "2"),
-        Evaluated(2, "crash", failure, (), None, 1.0),
+        Evaluated(2, "crash", failure, None, 1.0),
         Stopped("user"),
         Resumed(),
         Extended(5, None),

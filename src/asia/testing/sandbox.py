@@ -161,9 +161,9 @@ def _check_answers(open_worker: OpenWorker, case: _Case) -> None:
     expected = case.u @ gain + case.past_y[:, -1:]
     assert np.allclose(y, expected, rtol=1e-9), "simulate did not give what the candidate computes"
     assert np.allclose(part, expected[:1, :7], rtol=1e-9), "a smaller request was answered wrongly"
-    assert reply.output == "fitted\n", f"the output of fit came back as {reply.output!r}"
-    assert reply.curve[:, 0].tolist() == list(range(10)), "the training curve did not come back"
-    assert reply.seconds > 0, "the fit took no time"
+    assert reply[1] == "fitted\n", f"the output of fit came back as {reply[1]!r}"
+    assert reply[0][:, 0].tolist() == list(range(10)), "the training curve did not come back"
+    assert reply[2] > 0, "the fit took no time"
     with open_worker(_LIMITS) as fresh:
         fresh.load(source, model, case.context)
         again = case.simulated(fresh)
@@ -211,7 +211,7 @@ def _check_environment(open_worker: OpenWorker, case: _Case) -> None:
         with open_worker(_LIMITS) as worker:
             output = worker.fit(
                 case.source(fit="print(dict(os.environ))"), case.records, case.context
-            ).output
+            )[1]
     finally:
         del os.environ["ASIA_TESTING_SECRET"]
     assert secret not in output, "the candidate sees the environment of the parent"
@@ -261,7 +261,7 @@ def _check_no_messages(open_worker: OpenWorker, case: _Case) -> None:
     with open_worker(_LIMITS) as speaker, open_worker(_LIMITS) as listener:
         speaker.fit(case.source(fit=_SPEAK.replace("KEY", key)), case.records, case.context)
         source = case.source(fit=_LISTEN.replace("KEY", key))
-        heard = listener.fit(source, case.records, case.context).output.split()
+        heard = listener.fit(source, case.records, case.context)[1].split()
     assert not heard, f"two workers at a time hear of each other by {', '.join(heard)}"
 
 

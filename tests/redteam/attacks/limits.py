@@ -214,10 +214,10 @@ def _message_by_figures(_: Scene) -> SearchAttackResult:
             evaluation = evaluator.evaluate(_filled(text, problem))
             if not evaluation.folds:
                 continue
-            (result,), (findings,) = evaluation.folds, evaluation.findings
+            (result,) = evaluation.folds
             figures = {
-                "memory": _decode_by_memory(findings.memory_mb or 0.0),
-                "compilation": findings.compile_seconds,
+                "memory": _decode_by_memory(result.memory_mb or 0.0),
+                "compilation": result.compile_seconds,
                 "residuals": result.diagnostics.bias * float(fold.scale[0]) / 1e6,
             }
             figure = figures[name.partition(" ")[0]]

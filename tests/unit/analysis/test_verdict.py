@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from asia.analysis.verdict import LEVELS, usability
-from asia.judge.scoring.outcome import FoldScore, Score, explained_variance
+from asia.judge.scoring.outcome import FoldRecord, Score, explained_variance
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Event, ReferenceScored
 from asia.ledger.evidence import fold_estimates, with_fold_values
@@ -22,8 +22,8 @@ ROOT = Path(__file__).parents[3]
 
 def of_folds(tmp_path: Path, folds: list[tuple[float, float]], linear: float = 9.0) -> SearchView:
     """A search whose best candidate has these RMSEs and R2."""
-    each = tuple(FoldScore(e, (e,), (e,), (50.0,), (r2,)) for e, r2 in folds)
-    other = tuple(FoldScore(linear, (linear,), (linear,), (50.0,), (0.5,)) for _ in folds)
+    each = tuple(FoldRecord(e, (e,), (e,), (50.0,), (r2,)) for e, r2 in folds)
+    other = tuple(FoldRecord(linear, (linear,), (linear,), (50.0,), (0.5,)) for _ in folds)
     score = Score(float(np.mean([e for e, _ in folds])), each)
     lines: list[Event] = [
         replace(started(), isolation="landlock"),
@@ -64,7 +64,7 @@ def test_the_explained_variance_does_not_depend_on_units(factor: float) -> None:
     folds = [(0.2, 0.96), (0.2, -0.5), (0.5, 0.6)]
     first, second = (
         explained_variance(
-            Score(1.0, tuple(FoldScore(e, (k * e,), (k * e,), (50.0,), (r2,)) for e, r2 in folds))
+            Score(1.0, tuple(FoldRecord(e, (k * e,), (k * e,), (50.0,), (r2,)) for e, r2 in folds))
         )
         for k in (1.0, factor)
     )

@@ -21,4 +21,8 @@ def test_a_simulated_segment_can_be_simulated_again() -> None:
     # The error lies on a straight line between the measured samples.
     assert again.residual[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
     assert again.complete_y[:, 0].tolist() == [1.0, 9.0, 3.0, 4.0]
-    assert len(again.first(2).y) == len(again.first(2).y_hat) == 2
+    assert len(again.part(0, 2).y) == len(again.part(0, 2).y_hat) == 2
+    later = again.part(1, 3)
+    assert np.array_equal(later.past_u, U[1:3])
+    np.testing.assert_array_equal(later.past_y, np.concatenate([Y[1:2], again.y[:1]]))
+    assert later.start == again.start + 1

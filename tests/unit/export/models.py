@@ -163,6 +163,6 @@ def ready(model: Any, lowered: LoweredModel | None = None, samples: int = 40) ->
     spans = np.array([[0.5, 1.5], [-4.0, 0.0]])
     export = ExportModel(
         "run1", "refit", "made_up", low, CONTEXT.inputs, CONTEXT.outputs, 0.5, spans, spans,
-        windows[0].first(10),
+        windows[0].part(0, 10),
     )  # fmt: skip
     return Ready(export, tuple(windows))

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from asia.errors import Reason
-from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.judge.scoring.outcome import Failure, FoldRecord, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
@@ -22,7 +21,7 @@ from asia.ledger.events import (
 
 
 def score(value: float) -> Score:
-    fold = FoldScore(value, (value,), (value,), (50.0,), (0.75,))
+    fold = FoldRecord(value, (value,), (value,), (50.0,), (0.75,))
     return Score(value, (fold, fold))
 
 
@@ -50,7 +49,7 @@ def proposed(store: Store, number: int) -> Proposed:
 
 
 def evaluated(number: int, status: str, outcome: Score | Failure) -> Evaluated:
-    return Evaluated(number, status, outcome, (), None, 1.0)  # type: ignore[arg-type]
+    return Evaluated(number, status, outcome, None, 1.0)  # type: ignore[arg-type]
 
 
 def finished_run(directory: Path) -> Path:
@@ -58,16 +57,17 @@ def finished_run(directory: Path) -> Path:
     store = Store(directory / "artifacts")
     lock = b"made up\n"
     start = replace(started(), lock_digest=hashlib.sha256(lock).hexdigest())
-    fold = FoldRecord(
-        *(store.put(name.encode()) for name in ("model", "y_hat", "curve")),
-        Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0),
-        2.5,
+    fold = replace(
+        score(0.4).folds[0],
+        **{name: store.put(name.encode()) for name in ("model", "y_hat", "curve")},
+        diagnostics=Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0),
+        fit_seconds=2.5,
     )
     events: list[Event] = [
         start,
         ReferenceScored("linear model", score(0.5)),
         proposed(store, 1),
-        Evaluated(1, "keep", score(0.4), (fold, fold), store.put(b"printed"), 1.0),
+        Evaluated(1, "keep", Score(0.4, (fold, fold)), store.put(b"printed"), 1.0),
         Steered("try a slower pole – τ ≈ 3 s"),
         proposed(store, 2),
         evaluated(2, "crash", Failure(Reason.CRASH, "Traceback\nValueError: x", 1)),

@@ -7,8 +7,7 @@ import pytest
 
 from asia.data import Signal
 from asia.errors import Reason
-from asia.judge.evaluation.results import FoldFindings, FoldRecord, StepErrors, put_findings
-from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.judge.scoring.outcome import Failure, FoldRecord, Score, StepErrors
 from asia.judge.scoring.residuals import Diagnostics, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Fit
@@ -16,7 +15,7 @@ from asia.ledger.evidence import (
     ParameterSpread,
     RunSettings,
     evidence_of,
-    findings_of,
+    folds_of,
     noise_of_repeats,
     parameter_spreads,
     shared_residuals,
@@ -36,8 +35,9 @@ def residual(mean: float, error: float = 0.05, part: int = 4, output: int = 0) -
     )
 
 
-def findings(k: int, **changes: object) -> FoldFindings:
-    made = FoldFindings(
+def findings(k: int, **changes: object) -> FoldRecord:
+    made = replace(
+        fold_score(0.3),
         errors=(0.2, 0.4),
         train_errors=(0.1, 0.3),
         steps=(StepErrors(10, (0.15, 0.35)), StepErrors(50, (0.25, 0.45))),
@@ -50,8 +50,8 @@ def findings(k: int, **changes: object) -> FoldFindings:
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-def fold_score(value: float) -> FoldScore:
-    return FoldScore(value, (value, value), (value, value), (50.0, 50.0), (0.7, 0.7))
+def fold_score(value: float) -> FoldRecord:
+    return FoldRecord(value, (value, value), (value, value), (50.0, 50.0), (0.7, 0.7))
 
 
 SCORE = Score(0.3, (fold_score(0.29), fold_score(0.31)))
@@ -62,17 +62,19 @@ def view(store: Store, *outcomes: Score | Failure, **changes: object) -> SearchV
     start = replace(started(), folds=("block 1 of 2", "block 2 of 2"), outputs=("x", "y"))
     events: list[object] = [start]
     for number, outcome in enumerate(outcomes, 1):
+        scores = outcome.folds or (fold_score(0.3),) * 2
         folds = tuple(
-            FoldRecord(
-                "m", "y", "c", Diagnostics(0.2, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0), 2.5,
-                findings=put_findings(store, findings(k, **changes)),
-            )
-            for k in (1, 2)
+            replace(
+                findings(k, **changes), value=one.value, rmse=one.rmse, mae=one.mae,
+                model="m", y_hat="y", curve="c", fit_seconds=2.5,
+                diagnostics=Diagnostics(0.2, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0),
+            ).stored(store)
+            for k, one in enumerate(scores, 1)
         )  # fmt: skip
         parent = number - 1 or None
         events.append(replace(proposed(store, number), parent=parent))
         status = "keep" if isinstance(outcome, Score) else "invalid"
-        events.append(Evaluated(number, status, outcome, folds, None, 1.0))
+        events.append(Evaluated(number, status, replace(outcome, folds=folds), None, 1.0))
     return replay(events)  # type: ignore[arg-type]
 
 
@@ -135,7 +137,7 @@ def test_a_suspect_experiment_shows_no_held_out_figure(store: Store) -> None:
     """By how much a relation was broken, and V, would tell of held-out outputs."""
     failed = Failure(Reason.SUSPECT, "table: no sample changes", 1)
     seen = view(store, failed, held_out_residuals=(residual(0.5),))
-    for one in findings_of(store, seen.experiment(1)):
+    for one in folds_of(store, seen.experiment(1)):
         assert (one.errors, one.steps, one.held_out_residuals) == ((), (), ())
         assert one.train_errors
     text = "\n".join(lines(store, seen, 1))
@@ -180,7 +182,7 @@ def test_many_outputs_and_folds_stay_one_screen(store: Store) -> None:
     shown = evidence_of(seen.experiment(1), seen, store, settings)
     other = replace(many, parameters=tuple((n, -v) for n, v in many.parameters), printed="a\n" * 9)
     shown = replace(
-        shown, findings=(many, other),
+        shown, folds=(many, other),
         residuals=shared_residuals([many.residuals, other.residuals]),
         parameters=parameter_spreads([many, other]),
     )  # fmt: skip

@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from asia.errors import UserError
-from asia.judge.evaluation.results import FoldRecord
-from asia.judge.scoring.outcome import FoldScore, Score
+from asia.judge.scoring.outcome import FoldRecord, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import BEGIN, LINE_LIMIT, Chain, Follower, decode, encode, read_lines
@@ -216,10 +215,12 @@ def test_a_proposal_without_its_result_is_whole(whole: Path) -> None:
 
 
 def long_result(folds: int = 120) -> Evaluated:
-    part = FoldScore(0.25, (0.25,), (0.5,), (50.0,), (0.75,))
-    numbers = Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0)
-    fold = FoldRecord("a" * 64, "b" * 64, "c" * 64, numbers, 2.5, machine='"Nürnberg"\\')
-    return Evaluated(1, "keep", Score(0.25, (part,) * folds), (fold,) * folds, None, 1.0)
+    fold = FoldRecord(
+        0.25, (0.25,), (0.5,), (50.0,), (0.75,), model="a" * 64, y_hat="b" * 64, curve="c" * 64,
+        diagnostics=Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0), fit_seconds=2.5,
+        machine='"Nürnberg"\\',
+    )  # fmt: skip
+    return Evaluated(1, "keep", Score(0.25, (fold,) * folds), None, 1.0)
 
 
 def test_an_event_longer_than_a_line_is_read_by_all(tmp_path: Path) -> None:

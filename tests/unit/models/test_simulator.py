@@ -14,7 +14,7 @@ from asia.candidate import Context
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.judge.evaluation.control import control_lines
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.evaluation.plant_check import check_plant
 from asia.judge.sandbox.types import Isolation
 from asia.models import simulator

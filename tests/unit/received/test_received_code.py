@@ -379,7 +379,7 @@ ACCOUNTED = {
     "export/targets/numpy.py": "code that ASIA printed from a checked program",
     "interfaces/cli/__init__.py": "commands of installed packages",
     "interfaces/workspace/tools.py": "the user's candidate in the user's own workspace",
-    "judge/evaluation/transport.py": "work and records between machines of one search",
+    "judge/evaluation/remote.py": "work and records between machines of one search",
     "judge/executors/__init__.py": "executors of installed packages",
     "judge/sandbox/layers/landlock.py": "the C library",
     "judge/sandbox/layers/lockdown.py": "the C library",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,7 @@ from asia.data.sources import Source
 from asia.data.sources.official import OfficialBenchmark
 from asia.data.sources.simulated.source import Simulated
 from asia.errors import Reason
-from asia.judge.evaluation.results import FoldFindings, FoldRecord, put_findings
-from asia.judge.scoring.outcome import Failure, combine, score_fold, score_test
-from asia.judge.scoring.residuals import Diagnostics
+from asia.judge.scoring.outcome import Failure, Score, combine, score_fold, score_test
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
@@ -141,22 +139,24 @@ def append_experiment(
     chain.append(Proposed(number, None, "explore", "family", title, *words, source, str(number)))
     if value is None:
         failure = Failure(Reason.NOT_FINITE, "", 1)
-        chain.append(Evaluated(number, "invalid", failure, (), None, 1.0))
+        chain.append(Evaluated(number, "invalid", failure, None, 1.0))
         return best
     outcome, arrays = _score(make_folds(problem.train, problem.protocol), problem, value)
-    blank = Diagnostics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    findings = [
-        put_findings(store, FoldFindings((value,), (value,), parameters=one)) for one in parameters
-    ]
-    names = findings or [None] * len(arrays)
-    records = tuple(
-        FoldRecord(
-            store.put(b"model"), store.put_arrays(a), store.put(b""), blank, 1.0, findings=name
+    records = [
+        replace(
+            one, model=store.put(b"model"), y_hat=store.put_arrays(a), curve=store.put(b""),
+            fit_seconds=1.0,
         )
-        for a, name in zip(arrays, names, strict=True)
-    )
+        for one, a in zip(outcome.folds, arrays, strict=True)
+    ]  # fmt: skip
+    if parameters:
+        records = [
+            replace(one, errors=(value,), train_errors=(value,), parameters=own).stored(store)
+            for one, own in zip(records, parameters, strict=True)
+        ]
     status = "keep" if value < best else "discard"
-    chain.append(Evaluated(number, status, outcome, records, None, 1.0))
+    scored = Score(outcome.value, tuple(records))
+    chain.append(Evaluated(number, status, scored, None, 1.0))
     return min(best, value)
 
 

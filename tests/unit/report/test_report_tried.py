@@ -7,7 +7,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from asia.data import Signal
-from asia.ledger.simulated import SimulatedCase, SimulatedCases
+from asia.data.segment import Segment, SimulatedSegment
+from asia.ledger.simulated import SimulatedCases
 from asia.report.drawing.style import drawing
 from asia.report.pictures.evidence import draw_tried, draw_tried_residuals
 
@@ -16,15 +17,15 @@ from .test_report_pictures import assert_readable
 
 def cases(*, windows: bool = False, outputs: int = 1, held_out: bool = False) -> SimulatedCases:
     random = np.random.default_rng(0)
-    found: list[SimulatedCase] = []
+    found: list[tuple[int, bool, SimulatedSegment]] = []
     for fold in (1, 2):
         for out in (False, True) if held_out else (False,):
             for k in range(5 if windows else 1):
                 u = random.normal(size=(80, 1))
                 y_hat = random.uniform(1.0, 3.0, (80, outputs))
                 y = y_hat + 0.1 * (y_hat - 2.0) ** 2 * np.arange(1, outputs + 1)
-                rows = (tuple(map(tuple, a.tolist())) for a in (u, y, y_hat))
-                found.append(SimulatedCase(fold, out, "run", 80 * k, *rows))
+                block = Segment(u[:0], y[:0], u, y, "run", start=80 * k)
+                found.append((fold, out, block.simulated(y_hat)))
     signals = tuple(Signal(f"y{k}", "m") for k in range(outputs))
     return SimulatedCases(
         "Experiment 7, a try", 0.5, windows, (Signal("u"),), signals, tuple(found)

@@ -296,7 +296,7 @@ def unjudged(searched: Searched, factor: float = 1.0) -> Any:
 
     def decide(evaluator: Any, source: str, view: Any, **given: Any) -> Any:
         del evaluator, given
-        from asia.judge.evaluation.results import Evaluation
+        from asia.judge.evaluation.evaluator import Evaluation
         from asia.judge.scoring.outcome import Score
         from asia.search.decision import Decision
         from asia.search.fair_trial import Tried

@@ -158,7 +158,7 @@ def test_a_process_left_behind_is_told(tmp_path: Path) -> None:
     failure = Failure(Reason.FIT_TIMEOUT, "no answer within 20 s", 1)
     events = (
         Proposed(3, 1, "refine", "f", "t", "h", "e", store.put(b"x = 1\n"), "d"),
-        Evaluated(3, "timeout", failure, (), None, 27.0, deadline=True, left_behind=(4242, 4243)),
+        Evaluated(3, "timeout", failure, None, 27.0, deadline=True, left_behind=(4242, 4243)),
     )
     with Chain(directory / "ledger.jsonl") as chain:
         for event in events:

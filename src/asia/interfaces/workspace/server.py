@@ -307,22 +307,20 @@ class ExperimentEvidence:
             return dict(zip((s.name for s in setting.outputs), values, strict=False))
 
         folds: list[dict[str, Any]] = []
-        findings = found.findings or (None,) * len(found.folds)
-        for fold, held_out, value, known in zip(
-            found.folds, found.held_out, found.values, findings, strict=True
-        ):
+        for fold, held_out, value in zip(found.folds, found.held_out, found.values, strict=True):
+            known = fold.findings is not None
             folds.append({
                 "held_out": held_out,
                 "V": value,
                 "train_error": fold.diagnostics.train_error,
-                "errors": by_output(known.errors if known else ()),
-                "train_errors": by_output(known.train_errors if known else ()),
-                "steps": {str(s.step): by_output(s.errors) for s in known.steps} if known else {},
+                "errors": by_output(fold.errors),
+                "train_errors": by_output(fold.train_errors),
+                "steps": {str(s.step): by_output(s.errors) for s in fold.steps},
                 "fit_seconds": coarse(fold.fit_seconds),
-                "compile_seconds": coarse(known.compile_seconds) if known else None,
-                "memory_mb": coarse(known.memory_mb) if known and known.memory_mb else None,
-                "parameters": dict(known.parameters) if known else {},
-                "printed": last_lines(known.printed, 40) if known else [],
+                "compile_seconds": coarse(fold.compile_seconds) if known else None,
+                "memory_mb": coarse(fold.memory_mb) if fold.memory_mb else None,
+                "parameters": dict(fold.parameters),
+                "printed": last_lines(fold.printed, 40),
             })  # fmt: skip
         return cls(
             lines=tuple(lines),

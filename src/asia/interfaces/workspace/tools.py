@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
@@ -31,27 +31,27 @@ from asia.candidate import (
     simulate_steps,
     source_tree,
 )
-from asia.data.segment import Segment
+from asia.data.segment import Segment, SimulatedSegment
 from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
 from asia.interfaces.workspace.workspace import SCORED, scored_locally
 from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes, steps_ahead
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import FoldFit, derive_seed, search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
-from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.validation_score import rounded_score
 from asia.judge.sandbox.layers.environment import COMPILED_ONCE, REPEATABLE
 from asia.judge.sandbox.worker.prefixes import by_prefixes
-from asia.judge.scoring.outcome import FoldScore, check_reply, combine, score_fold
+from asia.judge.scoring.outcome import FoldRecord, check_reply, combine, score_fold
 from asia.judge.scoring.residuals import (
+    Diagnostics,
     Evidence,
     SignedResidual,
     signed_residuals,
     with_input,
     with_own_past,
 )
-from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
+from asia.ledger.simulated import SimulatedCases, simulated_cases
 from asia.presentation.evidence import minima_lines
 from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_problem
@@ -66,54 +66,14 @@ from asia.search.agent_views import digest
 # metric.
 
 
-@dataclass(frozen=True, repr=False)
-class LocalFold:
-    """One fold of a candidate that was fitted in this process."""
-
-    fold: Fold
-    """Training and held-out parts."""
-    model: Model
-    """The fitted model."""
-    seconds: float
-    """Duration of the fit, s."""
-    score: FoldScore
-    """The errors on the held-out part; `score.value` is V of this fold."""
-    training_score: FoldScore
-    """The errors on the training records."""
-    training: tuple[Segment, ...]
-    """The training records as cases."""
-    y_hat: tuple[Array, ...]
-    """Simulated outputs (H, ny) of each held-out block."""
-    training_y_hat: tuple[Array, ...]
-    """Simulated outputs (H, ny) of each block in `training`."""
-
-    def __repr__(self) -> str:
-        return (
-            f"<fold {self.fold.index + 1}: V {self.score.value:.6f}, training "
-            f"{self.training_score.value:.6f}, fit {self.seconds:.1f} s>"
-        )
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Names and values that the model gives, {} where it has no method `parameters`."""
-        named = getattr(self.model, "parameters", None)
-        found: Any = named() if callable(named) else {}
-        return {str(k): float(v) for k, v in found.items()} if isinstance(found, dict) else {}
-
-    def residuals(self, *, held_out: bool) -> tuple[SignedResidual, ...]:
-        """Return the operating ranges in which the model is too high or too low, on the held-out or
-        on the training part.
-        """
-        blocks = self.fold.held_out if held_out else self.training
-        y_hat = self.y_hat if held_out else self.training_y_hat
-        u = [b.u for b in blocks]
-        y = [b.simulated(found).complete_y for b, found in zip(blocks, y_hat, strict=True)]
-        return signed_residuals(u, y, y_hat, self.fold.scale)
+Fitted: TypeAlias = tuple[FoldRecord, FoldFit[Model]]
+"""Record of a fold, its `diagnostics` the training error alone, and the model with its
+simulations."""
 
 
 def evaluate(
     source: str, folds: Sequence[Fold], context: Context, rule: ProtocolRule, fit_seconds: float
-) -> tuple[LocalFold, ...]:
+) -> tuple[Fitted, ...]:
     """Fit `source` on each fold and score it; context: that of the search, with its seed;
     fit_seconds: the limit that `context.deadline` states; a fit that takes longer is not stopped.
 
@@ -131,8 +91,8 @@ def _evaluate_fold(
     context: Context,
     rule: ProtocolRule,
     fit_seconds: float,
-) -> LocalFold:
-    def score(blocks: Sequence[Segment], y_hat: Sequence[Array]) -> FoldScore:
+) -> Fitted:
+    def score(blocks: Sequence[Segment], y_hat: Sequence[Array]) -> FoldRecord:
         return score_fold([b.y for b in blocks], y_hat, fold.scale, rule.metric)
 
     calls = 0
@@ -170,16 +130,38 @@ def _evaluate_fold(
     simulator, training = _Simulator(model), whole(fold.train, rule)
     y_hat = simulate_held_out(simulator, fold.held_out)
     training_y_hat = simulate_training(simulator.simulate_known, training, rule.horizon)
-    return LocalFold(
-        fold=fold,
+    fit = FoldFit(
         model=model,
+        curve=np.zeros((0, 2)),
+        printed="",
         seconds=seconds,
-        score=score(fold.held_out, y_hat),
-        training_score=score(training, training_y_hat),
-        training=training,
+        parameters=_parameters(model),
         y_hat=y_hat,
-        training_y_hat=training_y_hat,
+        train_y_hat=training_y_hat,
     )
+    record = replace(
+        score(fold.held_out, y_hat),
+        diagnostics=Diagnostics(score(training, training_y_hat).value),
+        fit_seconds=seconds,
+        parameters=fit.parameters,
+        residuals=_residuals(training, training_y_hat, fold.scale),
+        held_out_residuals=_residuals(fold.held_out, y_hat, fold.scale),
+    )
+    return record, fit
+
+
+def _parameters(model: Model) -> tuple[tuple[str, float], ...]:
+    """Names and values that the model gives, () where it has no method `parameters`."""
+    named = getattr(model, "parameters", None)
+    found: Any = named() if callable(named) else {}
+    return tuple((str(k), float(v)) for k, v in found.items()) if isinstance(found, dict) else ()
+
+
+def _residuals(
+    blocks: Sequence[Segment], y_hat: Sequence[Array], scale: Array
+) -> tuple[SignedResidual, ...]:
+    y = [b.simulated(found).complete_y for b, found in zip(blocks, y_hat, strict=True)]
+    return signed_residuals([b.u for b in blocks], y, y_hat, scale)
 
 
 @dataclass(frozen=True)
@@ -212,7 +194,13 @@ class _Simulator:
 
 
 def draw(
-    folder: Path, problem: Problem, title: str, folds: Sequence[LocalFold], *, held_out: bool
+    folder: Path,
+    problem: Problem,
+    title: str,
+    folds: Sequence[Fold],
+    found: Sequence[Fitted],
+    *,
+    held_out: bool,
 ) -> tuple[str, ...]:
     """Simulation and residuals of each fold, written into `plots/`; the names of the files."""
 
@@ -221,12 +209,12 @@ def draw(
         every = -(-len(blocks) // 300)
         return blocks[::every], y_hat[::every]
 
-    cases: list[SimulatedCase] = []
-    for one in folds:
-        cases += simulated_cases(one.fold, *some(one.training, one.training_y_hat), held_out=False)
+    cases: list[tuple[int, bool, SimulatedSegment]] = []
+    for fold, (_, fit) in zip(folds, found, strict=True):
+        training = some(whole(fold.train, problem.protocol), fit.train_y_hat)
+        cases += simulated_cases(fold, *training, held_out=False)
         if held_out:
-            held = some(one.fold.held_out, one.y_hat)
-            cases += simulated_cases(one.fold, *held, held_out=True)
+            cases += simulated_cases(fold, *some(fold.held_out, fit.y_hat), held_out=True)
     shown = SimulatedCases(
         title=title,
         sampling_time=problem.sampling_time,
@@ -246,69 +234,88 @@ def draw(
 # Tables of `tools.py`: scores, parameters, residuals, correlations.
 
 
+def _parts(
+    problem: Problem, folds: Sequence[Fold], found: Sequence[Fitted], *, held_out: bool
+) -> list[list[SimulatedSegment]]:
+    """The held-out or the training part of each fold, simulated."""
+    parts: list[list[SimulatedSegment]] = []
+    for fold, (_, fit) in zip(folds, found, strict=True):
+        blocks = fold.held_out if held_out else whole(fold.train, problem.protocol)
+        y_hat = fit.y_hat if held_out else fit.train_y_hat
+        parts.append([b.simulated(y) for b, y in zip(blocks, y_hat, strict=True)])
+    return parts
+
+
 def tables(
-    problem: Problem, folds: Sequence[LocalFold], *, whole: bool, held_out: bool
+    problem: Problem,
+    folds: Sequence[Fold],
+    found: Sequence[Fitted],
+    *,
+    complete: bool,
+    held_out: bool,
 ) -> Iterator[str]:
-    """Lines about a candidate; whole: whether these are all folds of V; held_out: with the
+    """Lines about a candidate; complete: whether these are all folds of V; held_out: with the
     residuals of the held-out part."""
+    records = [record for record, _ in found]
+    heads = [_name(fold) for fold in folds]
     # V, and the errors of each fold.
     metric = find_metric(problem.protocol.metric)
-    name = "V" if whole else f"{metric.v_label}, folds of your own or not all of them"
-    yield f"{name} = {combine([one.score for one in folds]).value:.6f}"
-    yield from minima_lines([one.training_score.value for one in folds])
+    name = "V" if complete else f"{metric.v_label}, folds of your own or not all of them"
+    yield f"{name} = {combine(records).value:.6f}"
+    yield from minima_lines([one.diagnostics.train_error for one in records])
     limit = problem.budget.fit_seconds
-    for one in folds:
-        ratio = one.score.value / one.training_score.value
-        late = f"  ABOVE THE LIMIT of {limit:g} s" if one.seconds > limit else ""
+    for head, one in zip(heads, records, strict=True):
+        training = one.diagnostics.train_error
+        late = f"  ABOVE THE LIMIT of {limit:g} s" if one.fit_seconds > limit else ""
         yield (
-            f"  {_name(one)}: {one.score.value:.6f}, training {one.training_score.value:.6f} "
-            f"(ratio {ratio:.2f}), fit {one.seconds:.1f} s{late}"
+            f"  {head}: {one.value:.6f}, training {training:.6f} "
+            f"(ratio {one.value / training:.2f}), fit {one.fit_seconds:.1f} s{late}"
         )
         if len(problem.outputs) > 1:
-            errors = zip(problem.outputs, one.score.per_channel(metric.name), strict=True)
+            errors = zip(problem.outputs, one.per_channel(metric.name), strict=True)
             text = ", ".join(
                 f"{s.name} {e:.4g} {metric.unit_of(s.unit)}".rstrip() for s, e in errors
             )
             yield f"    {metric.label}: {text}"
 
     # The parameters by fold.
-    found = [one.parameters for one in folds]
-    names = list(dict.fromkeys(name for one in found for name in one))
+    values_of = [dict(one.parameters) for one in records]
+    names = list(dict.fromkeys(name for one in values_of for name in one))
     wide = max([len("parameters") - 2, *(len(name) for name in names)])
     if names:
-        heads = "".join(f"{_name(one):>14}" for one in folds)
-        yield f"{'parameters':<{wide + 2}}{heads}   spread"
-    orders = {one.get("order [states]") for one in found}
+        columns = "".join(f"{head:>14}" for head in heads)
+        yield f"{'parameters':<{wide + 2}}{columns}   spread"
+    orders = {one.get("order [states]") for one in values_of}
     for name in names:
         # A fold whose model has other modes lacks some names. Between models of different orders
         # the modes of one number are not the same.
-        values = [one[name] for one in found if name in one]
+        values = [one[name] for one in values_of if name in one]
         size = float(np.mean(np.abs(values)))
         is_mode = name.startswith(("time constant ", "frequency ", "damping "))
         known = size > 0 and len(values) > 1 and not (is_mode and len(orders) > 1)
         spread = f"{np.ptp(values) / size:9.0%}" if known else "        -"
-        texts = (f"{one[name]:14.6g}" if name in one else f"{'-':>14}" for one in found)
+        texts = (f"{one[name]:14.6g}" if name in one else f"{'-':>14}" for one in values_of)
         yield f"  {name:<{wide}}" + "".join(texts) + spread
 
     # The most significant signed residuals.
     for part in (False, True) if held_out else (False,):
         where = "held-out" if part else "training"
         yield f"signed residuals, {where} part (mean ± standard error in s.d. of the output)"
-        for one in folds:
-            listed = [r for r in one.residuals(held_out=part) if r.evidence is not Evidence.NONE]
+        for head, one in zip(heads, records, strict=True):
+            residuals = one.held_out_residuals if part else one.residuals
+            listed = [r for r in residuals if r.evidence is not Evidence.NONE]
             listed.sort(key=lambda r: r.evidence is Evidence.CHANCE)
             for residual in listed[:8]:
                 text = residual.words(problem.inputs, problem.outputs)
-                yield f"  {_name(one)}: {text} ({residual.share:.0%} of the error)"
+                yield f"  {head}: {text} ({residual.share:.0%} of the error)"
             if not listed:
-                yield f"  {_name(one)}: no mean residual exceeds its standard error"
+                yield f"  {head}: no mean residual exceeds its standard error"
 
     # The correlations as the picture draws them: all folds together, the held-out part if shown.
     where = "held-out" if held_out else "training"
     yield f"correlation of the residuals, {where} part, all folds together, 99 % bands"
-    blocks = [b for one in folds for b in (one.fold.held_out if held_out else one.training)]
-    y_hat = [y for one in folds for y in (one.y_hat if held_out else one.training_y_hat)]
-    errors = [b.simulated(y).residual for b, y in zip(blocks, y_hat, strict=True)]
+    blocks = [b for part in _parts(problem, folds, found, held_out=held_out) for b in part]
+    errors = [b.residual for b in blocks]
     for k, output in enumerate(problem.outputs):
         text = _correlations(problem, blocks, [e[:, k] for e in errors])
         yield f"  {output.name}: {text}"
@@ -333,36 +340,39 @@ def _correlations(problem: Problem, blocks: Sequence[Segment], e: Sequence[Array
     return "; ".join(parts)
 
 
-def _name(one: LocalFold) -> str:
-    return f"fold {one.fold.index + 1}"
+def _name(fold: Fold) -> str:
+    return f"fold {fold.index + 1}"
 
 
-def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
+def analysis(
+    problem: Problem, folds: Sequence[Fold], found: Sequence[Fitted], *, held_out: bool
+) -> Iterator[str]:
     """Lines about the parts of the held-out error, the modes, and the terms that a model may lack;
     held_out: whether the terms are looked for in the residuals of the held-out part."""
     step = problem.sampling_time
     yield "parts of the held-out error (shares of the squared error)"
-    for one in folds:
-        found = error_parts(one.model, one.fold.held_out, one.y_hat, one.fold.scale, step)
+    training = _parts(problem, folds, found, held_out=False)
+    for fold, (_, fit), parts in zip(folds, found, training, strict=True):
+        error = error_parts(fit.model, fold.held_out, fit.y_hat, fold.scale, step)
         first = "not known (no states)"
-        if found.initial_state is not None:
-            first = f"{found.initial_state:.0%}"
+        if error.initial_state is not None:
+            first = f"{error.initial_state:.0%}"
         yield (
-            f"  {_name(one)}: initial state {first}, offset and drift {found.slow:.0%}, dynamics "
-            f"and noise {found.dynamics:.0%}"
+            f"  {_name(fold)}: initial state {first}, offset and drift {error.slow:.0%}, dynamics "
+            f"and noise {error.dynamics:.0%}"
         )
-        ahead = steps_ahead(one.model, one.fold.held_out, one.y_hat, one.fold.scale)
+        ahead = steps_ahead(fit.model, fold.held_out, fit.y_hat, fold.scale)
         if ahead:
             text = ", ".join(f"{e:.2g} at step {k}" for k, e in ahead.items())
             yield f"    after starts from measured samples, in s.d. of the output: {text}"
-        course = " ".join(f"{e:.2g}" for e in found.over_time)
+        course = " ".join(f"{e:.2g}" for e in error.over_time)
         yield f"    over the block, tenths, in s.d. of the output: {course}"
-        bands = zip(found.frequencies, found.frequencies[1:], found.bands, strict=False)
+        bands = zip(error.frequencies, error.frequencies[1:], error.bands, strict=False)
         yield "    by frequency: " + ", ".join(
             f"{low:.3g} to {high:.3g} Hz {share:.0%}" for low, high, share in bands
         )
-        if isinstance(one.model, StepModel):
-            texts = list(modes(one.model, one.training[0], one.training_y_hat[0], step))
+        if isinstance(fit.model, StepModel):
+            texts = list(modes(fit.model, parts[0], parts[0].y_hat, step))
             if texts:
                 yield f"    modes at the mean state: {'; '.join(texts[:8])}"
     where = "held-out" if held_out else "training"
@@ -370,11 +380,11 @@ def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) ->
         f"missing terms, score test on the {where} part: share of the squared residual that a term "
         "explains beyond linear ones"
     )
-    blocks = [one.fold.held_out if held_out else one.training for one in folds]
-    y_hat = [one.y_hat if held_out else one.training_y_hat for one in folds]
+    blocks = _parts(problem, folds, found, held_out=held_out)
+    y_hat = [[b.y_hat for b in part] for part in blocks]
     inputs, outputs = ([s.name for s in each] for each in (problem.inputs, problem.outputs))
     states = [] if problem.physics is None else list(problem.physics.states)
-    ranked = missing_terms([one.model for one in folds], blocks, y_hat, inputs, outputs, states)
+    ranked = missing_terms([fit.model for _, fit in found], blocks, y_hat, inputs, outputs, states)
     for k, output in enumerate(outputs):
         own = [term for term in ranked if term.output == k and term.share >= 0.01]
         for linear, most in ((False, 5), (True, 2)):
@@ -440,14 +450,14 @@ class WorkspaceTools:
 
     def evaluate(
         self, path: Path | str = "candidate.py", folds: Sequence[Fold] | None = None
-    ) -> tuple[LocalFold, ...]:
+    ) -> tuple[Fitted, ...]:
         """The candidate in that file, fitted and scored on these folds; None for those of V."""
         source = read_text(self.folder / path, "name a candidate, as Python source")
         return self.evaluate_source(source, folds)
 
     def evaluate_source(
         self, source: str, folds: Sequence[Fold] | None = None
-    ) -> tuple[LocalFold, ...]:
+    ) -> tuple[Fitted, ...]:
         """The candidate, fitted and scored on these folds; None for those of V."""
         chosen = self.folds if folds is None else folds
         limit = self.problem.budget.fit_seconds
@@ -613,33 +623,34 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         return
     (candidate,) = options.candidates
     found = tools.evaluate(candidate, folds)
-    whole = not own and len(found) == len(tools.folds)
+    complete = not own and len(found) == len(tools.folds)
     held_out = tools.rule.residuals == "held_out"
-    for line in tables(tools.problem, found, whole=whole, held_out=held_out):
+    for line in tables(tools.problem, folds, found, complete=complete, held_out=held_out):
         say(line)
     if not own and scored_locally(tools.folder) > 1:
         say(_scored(tools))
     if options.why:
-        for line in analysis(tools.problem, found, held_out=held_out):
+        for line in analysis(tools.problem, folds, found, held_out=held_out):
             say(line)
     if options.plot:
-        for name in draw(tools.folder, tools.problem, candidate, found, held_out=held_out):
+        for name in draw(tools.folder, tools.problem, candidate, folds, found, held_out=held_out):
             say(f"picture {name}")
 
 
 _MOST_PARAMETERS = 8
 
 
-def _row(label: str, folds: Sequence[LocalFold]) -> Iterator[str]:
+def _row(label: str, found: Sequence[Fitted]) -> Iterator[str]:
     """V of one of several candidates, and the means of its first parameters over the folds."""
-    each = ", ".join(f"{one.score.value:.4f}" for one in folds)
-    training = ", ".join(f"{one.training_score.value:.4f}" for one in folds)
-    seconds = sum(one.seconds for one in folds)
+    records = [record for record, _ in found]
+    each = ", ".join(f"{one.value:.4f}" for one in records)
+    training = ", ".join(f"{one.diagnostics.train_error:.4f}" for one in records)
+    seconds = sum(one.fit_seconds for one in records)
     yield (
-        f"V {combine([one.score for one in folds]).value:.6f} {label} (folds {each}; training "
-        f"{training}; fit {seconds:.1f} s)"
+        f"V {combine(records).value:.6f} {label} (folds {each}; training {training}; fit "
+        f"{seconds:.1f} s)"
     )
-    tables = [one.parameters for one in folds]
+    tables = [dict(one.parameters) for one in records]
     names = [name for name in tables[0] if all(name in table for table in tables)]
     if names:
         means = (f"{n} {np.mean([t[n] for t in tables]):.4g}" for n in names[:_MOST_PARAMETERS])

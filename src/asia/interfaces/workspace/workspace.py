@@ -84,8 +84,8 @@ It costs no experiment. The candidate runs in this process, without sandbox, tim
 limit. In a script of your own:
 
     from tools import TOOLS
-    for fold in TOOLS.evaluate("candidate.py"):
-        print(fold.score.value, fold.parameters, fold.residuals(held_out=False))
+    for fold, fit in TOOLS.evaluate("candidate.py"):
+        print(fold.value, fold.parameters, fold.residuals, fit.model)
 """
 
 import sys

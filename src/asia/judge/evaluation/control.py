@@ -14,9 +14,8 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason, UserError
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import derive_seed, search_context
 from asia.judge.evaluation.references import LINEAR
-from asia.judge.evaluation.results import derive_seed
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.types import Isolation, Limits

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context, Model, StepModel
-from asia.data.segment import Segment
+from asia.data.segment import Segment, SimulatedSegment, stacked
 from asia.data.trajectory import Array, Trajectory, filled, is_constant, spread_of
 from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.residual import explained
@@ -41,53 +41,53 @@ class Rollout:
     """Outputs (H, B, ny)."""
 
 
-@dataclass(frozen=True)
-class Windows:
-    """Cases of one length, as a batch."""
+def _repeated(batch: SimulatedSegment, times: int) -> SimulatedSegment:
+    """The whole batch several times, one after the other."""
+    parts = {
+        name: np.concatenate([getattr(batch, name)] * times)
+        for name in ("past_u", "past_y", "u", "y", "y_hat")
+    }
+    return replace(batch, **parts)
 
-    past_u: Array
-    """(B, n_past_u, nu)."""
-    past_y: Array
-    """(B, n_past_y, ny)."""
-    u: Array
-    """(B, H, nu)."""
-    y: Array
-    """Measured outputs (B, H, ny), on straight lines where none was measured."""
-    y_hat: Array
-    """Simulated outputs (B, H, ny) of the blocks that they are cut from."""
-    early_u: Array
-    """Inputs (B, 16, nu) before the first sample, the first one held where the record begins."""
 
-    def repeated(self, times: int) -> Windows:
-        """The whole batch several times, one after the other."""
-        parts = (self.past_u, self.past_y, self.u, self.y, self.y_hat, self.early_u)
-        return Windows(*(np.concatenate([x] * times) for x in parts))
+def _places(blocks: Sequence[Segment], length: int, *, first: bool) -> tuple[tuple[int, int], ...]:
+    """Block and first sample of windows of a length, evenly spread, `_MOST_SAMPLES` samples
+    together; first: only the first window of each block, which starts as the evaluator's simulation
+    does."""
+    places = [
+        (i, k)
+        for i, block in enumerate(blocks)
+        for k in range(0, 1 if first else len(block.y) - length + 1, length)
+    ]
+    return spread(places, max(1, _MOST_SAMPLES // length))
 
 
 def windows(
     blocks: Sequence[Segment], y_hat: Sequence[Array], length: int, *, first: bool = False
-) -> Windows:
-    """Cut blocks into windows of a length, evenly spread, `_MOST_SAMPLES` samples together; first:
-    only the first window of each block, which starts as the evaluator's simulation does."""
-    cut: list[tuple[Array, ...]] = []
-    for block, simulated in zip(blocks, y_hat, strict=True):
-        y = block.simulated(simulated).complete_y
-        u, all_y = np.concatenate([block.past_u, block.u]), np.concatenate([block.past_y, y])
-        nu, ny = len(block.past_u), len(block.past_y)
-        early = np.concatenate([np.repeat(u[:1], _DELAYS[-1], 0), u])
-        for k in range(0, 1 if first else len(y) - length + 1, length):
-            before = early[k + nu : k + nu + _DELAYS[-1]]
-            own = slice(k, k + length)
-            cut.append(
-                (u[k : k + nu], all_y[k : k + ny], block.u[own], y[own], simulated[own], before)
-            )
-    chosen = spread(cut, max(1, _MOST_SAMPLES // length))
-    return Windows(*(np.stack(parts) for parts in zip(*chosen, strict=True)))
+) -> SimulatedSegment:
+    """Cut blocks into a batch of windows, chosen as by `_places`, on straight lines where no output
+    was measured."""
+    each = [block.simulated(y) for block, y in zip(blocks, y_hat, strict=True)]
+    each = [replace(one, y=one.complete_y) for one in each]
+    places = _places(blocks, length, first=first)
+    return stacked([each[i].part(k, k + length) for i, k in places])
+
+
+def _earlier_inputs(blocks: Sequence[Segment], length: int, *, first: bool) -> Array:
+    """Inputs (B, 16, nu) before the windows of `_places`, the first one held where the record
+    begins."""
+    before: list[Array] = []
+    for i, k in _places(blocks, length, first=first):
+        u = np.concatenate([blocks[i].past_u, blocks[i].u])
+        stop = k + len(blocks[i].past_u)
+        rows = np.arange(stop - _DELAYS[-1], stop)
+        before.append(u[np.maximum(rows, 0)])
+    return np.stack(before)
 
 
 def rollout(
     model: StepModel,
-    of: Windows,
+    of: SimulatedSegment,
     start: Array | None = None,
     force: Array | None = None,
     direction: Array | None = None,
@@ -156,7 +156,7 @@ class _Started:
     """Typical change (n,) of each state."""
 
 
-def _best_starts(model: StepModel, of: Windows, scale: Array) -> _Started | None:
+def _best_starts(model: StepModel, of: SimulatedSegment, scale: Array) -> _Started | None:
     """Fit the initial state of each window by Gauss-Newton steps; None for a model without a state
     that can be changed."""
     free = best = rollout(model, of)
@@ -164,9 +164,9 @@ def _best_starts(model: StepModel, of: Windows, scale: Array) -> _Started | None
     size = _sizes(free.states)
     if not 0 < n <= _MOST_STATES or not size.any() or not np.isfinite(free.y).all():
         return None
-    changed = of.repeated(n)
+    changed = _repeated(of, n)
     slopes, steps = np.zeros((batch, of.y[0].size, n)), 0.5 ** np.arange(4)
-    tried_windows = of.repeated(len(steps))
+    tried_windows = _repeated(of, len(steps))
     squares = _squares(best, of, scale)
     for more in range(_ITERATIONS + 1):
         start = best.states[0] + _SMALL * np.repeat(np.diag(size), batch, 0).reshape(n, batch, n)
@@ -207,7 +207,7 @@ def _kept(slopes: Array) -> tuple[Array, Array]:
     return left[:, :many], (left[:, :many] / np.maximum(values[:many], 1e-300)) @ right[:many]
 
 
-def _squares(found: Rollout, of: Windows, scale: Array) -> Array:
+def _squares(found: Rollout, of: SimulatedSegment, scale: Array) -> Array:
     """Sum of squared errors (B,), infinite where a simulation diverges."""
     e = (of.y - found.y.transpose(1, 0, 2)) / scale
     return np.nan_to_num(np.sum(e**2, axis=(1, 2)), nan=np.inf)
@@ -486,6 +486,7 @@ def _responses(
     scale = np.where(scale > 0, scale, 1.0)
     length = min(_MOST_SAMPLES, *(len(b.y) for b in blocks))
     of, started = windows(blocks, y_hat, length, first=True), None
+    early = _earlier_inputs(blocks, length, first=True)
     if isinstance(model, StepModel):
         while True:
             of = windows(blocks, y_hat, length)
@@ -494,6 +495,7 @@ def _responses(
                 of = windows(blocks, y_hat, length, first=True)
                 break
             e = (of.y - started.best.y.transpose(1, 0, 2)) / scale
+            early = _earlier_inputs(blocks, length, first=False)
             far = float(np.sqrt(np.mean(e**2)))
             if far <= _LOCAL or length < 50:
                 break
@@ -518,7 +520,7 @@ def _responses(
         moves = np.ptp(s) > 1e-9 * (np.abs(s).max() + 1e-300)
         if len(kept) < _MOST_SIGNALS and moves and not any(_same(s, t) for t in kept.values()):
             kept[name] = s
-    early = np.concatenate([of.early_u, of.u], axis=1)
+    early = np.concatenate([early, of.u], axis=1)
     own = {n: kept[n] for n in driven if n in kept}
     late = {n: early[:, :, k] for k, n in enumerate(inputs) if n in kept}
     terms, of_inputs = _terms(kept, late), frozenset([*own, *_terms(own, late)])
@@ -569,7 +571,7 @@ def _lagged(z: Array) -> Array:
 
 
 def _forced(
-    model: StepModel, of: Windows, started: _Started, terms: dict[str, Array]
+    model: StepModel, of: SimulatedSegment, started: _Started, terms: dict[str, Array]
 ) -> dict[str, Array]:
     """Slopes (B, H, ny, directions) of the outputs with the gain of each term as a force; terms
     with a response that is not finite are left out."""
@@ -587,7 +589,7 @@ def _forced(
     times = many * len(terms)
     y = rollout(
         model,
-        of.repeated(times),
+        _repeated(of, times),
         np.tile(best.states[0], (times, 1)),
         np.concatenate([np.tile(force, (1, many)) for force in forces], axis=1),
         np.tile(directions, (len(terms), 1)),
@@ -609,7 +611,7 @@ def modes(model: StepModel, block: Segment, y_hat: Array, step: float) -> Iterat
     moving = np.flatnonzero(size > 0)
     if not 0 < len(moving) <= _MOST_STATES or not np.isfinite(states).all():
         return
-    held = replace(of, u=of.u.mean(axis=1, keepdims=True)).repeated(len(moving) + 1)
+    held = _repeated(replace(of, u=of.u.mean(axis=1, keepdims=True)), len(moving) + 1)
     start = mean + np.concatenate([np.zeros((1, len(mean))), _SMALL * np.diag(size)[moving]])
     after = rollout(model, held, start).states[-1][:, moving]
     a = (after[1:] - after[0]).T / (_SMALL * size[moving])

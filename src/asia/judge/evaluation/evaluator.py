@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain
 from typing import TypeAlias, TypeVar
@@ -13,12 +13,12 @@ import numpy as np
 
 from asia._heap import LARGE_RECORDS, give_back_large_arrays
 from asia._timer import Activity
-from asia.candidate import Context, check_source, executed_source, library_only
-from asia.data.segment import Segment
+from asia.candidate import Context, ParameterEstimates, check_source, executed_source, library_only
+from asia.data.segment import Segment, stacked
 from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason, UserError
-from asia.judge.evaluation.artifacts import ArtifactStore
-from asia.judge.evaluation.findings import record_fold
+from asia.judge.artifacts import ArtifactStore
+from asia.judge.evaluation.fold_fits import FoldFitter, derive_seed, record_fold
 from asia.judge.evaluation.relations import (
     ROUNDING,
     Suspicion,
@@ -27,7 +27,7 @@ from asia.judge.evaluation.relations import (
     strangers,
     suspicions,
 )
-from asia.judge.evaluation.remote import FoldFitter
+from asia.judge.evaluation.remote import RemoteFoldFitter
 from asia.judge.evaluation.requests import (
     MOST_TRAINING_WINDOWS,
     secret_of,
@@ -36,18 +36,11 @@ from asia.judge.evaluation.requests import (
     simulate_each,
     spread,
 )
-from asia.judge.evaluation.results import (
-    Evaluation,
-    FoldRecord,
-    Refit,
-    RefitModel,
-    derive_seed,
-)
 from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.worker.worker import Worker
-from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_parts
+from asia.judge.scoring.outcome import Failure, FoldRecord, Outcome, Score, combine, score_parts
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
 from asia.problem.folds import Fold, inner_folds, whole
@@ -62,6 +55,53 @@ _Ask: TypeAlias = Callable[[Worker, Sequence[Segment], Sequence[Array]], Sequenc
 _STRANGERS_ASKED = 4
 # Training samples of a fold.
 _LONG = 100_000
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The evaluation of one candidate on all folds, or on one of them."""
+
+    outcome: Outcome
+    output: str = ""
+    """Text that the candidate printed during the first fold's fit, or that of a fold that failed,
+    capped and stripped."""
+    validation_scores: int = 0
+    """Number of scores on held-out parts that the candidate requested, in all folds, failed ones
+    included."""
+    artifacts: ArtifactStore = field(default_factory=ArtifactStore, repr=False, compare=False)
+    """The large parts of `folds`."""
+
+    @property
+    def folds(self) -> tuple[FoldRecord, ...]:
+        """The records of all folds; empty if one of them failed."""
+        return self.outcome.folds
+
+    @property
+    def failed_checks(self) -> tuple[str, ...]:
+        """Diagnostics that raised an exception, each line once, whatever the number of folds."""
+        return tuple(dict.fromkeys(line for one in self.folds for line in one.failed))
+
+
+@dataclass(frozen=True)
+class RefitModel:
+    """A model fitted on all training records."""
+
+    model: bytes
+    """The model; never parsed outside a sandbox."""
+    estimates: ParameterEstimates | None = None
+    """Parameter estimates of the model; None where it offers none."""
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A candidate fitted on all training records, and on one fold a second time."""
+
+    model: RefitModel | CandidateError
+    """The model fitted on all training records, or why there is none."""
+    fold: int
+    """The number of the fold that was fitted again, from 1."""
+    again: Outcome
+    """The outcome of that fold."""
 
 
 @dataclass(frozen=True)
@@ -147,15 +187,12 @@ class StoredModels:
     ) -> list[Array | CandidateError]:
         """Simulate blocks of one length in one request; outputs (blocks, H, ny) of each model, or
         an error where it fails. For cases without measured outputs only."""
-        arrays = [
-            np.stack([getattr(block, name) for block in blocks])
-            for name in ("past_u", "past_y", "u")
-        ]
+        cases = stacked(blocks)
 
         def answers(model: bytes) -> Array | CandidateError:
             try:
                 with self._loaded(source, model) as worker:
-                    return worker.simulate_known(*arrays)
+                    return worker.simulate_known(cases.past_u, cases.past_y, cases.u)
             except CandidateError as error:
                 return error
 
@@ -329,9 +366,12 @@ class Evaluator:
         self._analysing = threading.Lock()
         # Of sources as they are executed: the linear model is a variant of many candidates.
         self._inner_errors: dict[str, tuple[float, ...] | Reason] = {}
-        self._fitter = FoldFitter(
-            data.rule, data.context, workers, self._options.problem, self._options.without
-        )
+        given = data.rule, data.context, workers
+        without = self._options.without
+        self._fitter = FoldFitter(*given, without)
+        if workers.remote is not None:
+            problem = self._options.problem
+            self._fitter = RemoteFoldFitter(*given, workers.remote, problem, without)
         if sum(r.u.nbytes + r.y.nbytes for r in data.records) > LARGE_RECORDS:
             give_back_large_arrays()
         self._ranges = ranges_of([r.u for r in data.records], [r.y for r in data.records])
@@ -378,10 +418,9 @@ class Evaluator:
         calls = sum(end.validation_scores for end in ends)
         for end in ends:
             if isinstance(end.outcome, Failure):
-                return Evaluation(end.outcome, output=end.output, validation_scores=calls)
-        scores = [end.outcome.folds[0] for end in ends if isinstance(end.outcome, Score)]
-        records = tuple(end.folds[0] for end in ends)
-        return Evaluation(combine(scores), records, ends[0].output, calls, artifacts=artifacts)
+                return Evaluation(end.outcome, end.output, calls)
+        outcome = combine([end.folds[0] for end in ends])
+        return Evaluation(outcome, ends[0].output, calls, artifacts)
 
     def inner_errors(self, source: str) -> tuple[float, ...] | Reason:
         """Fit a source to parts of each fold's training records and simulate the rest.
@@ -512,21 +551,21 @@ class Evaluator:
         artifacts = ArtifactStore() if artifacts is None else artifacts
         # Analyse one fold of long records at a time, to limit memory.
         long = sum(len(record) for record in fold.train) > _LONG
-        printed, records = "", ()
+        printed = ""
         try:
             fitted = self._fitter.fit(source, fold, start, scores)
             printed = fitted.printed
             with stopwatch.activity(Activity.CHECKS, swallows=True):
                 self._check_strangers(source, fold, fitted.model, fitted.y_hat)
             with stopwatch.activity(Activity.SCORE), self._analysing if long else nullcontext():
-                score, record = record_fold(
+                record = record_fold(
                     fold, fitted, rule, self._ranges, context, oracle.calls, artifacts
                 )
-            outcome, records = Score(score.value, (score,)), (record,)
+            outcome = Score(record.value, (record,))
         except CandidateError as error:
             outcome = Failure(error.reason, error.detail, fold.index + 1)
             printed = printed or error.printed
-        return Evaluation(outcome, records, printed, oracle.calls, artifacts=artifacts)
+        return Evaluation(outcome, printed, oracle.calls, artifacts)
 
     def _check_strangers(
         self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]

@@ -1,7 +1,7 @@
 """Trial of a simulator of the user's own, in the sandbox, before a search."""
 
 from asia.errors import CandidateError, Reason, UserError
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.problem.problem import Problem

@@ -13,9 +13,8 @@ import numpy as np
 from asia.data.relations import LARGEST_GAIN, LEAST_CORRELATION, motion
 from asia.data.segment import Segment
 from asia.data.trajectory import Array
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation, score_outputs
-from asia.judge.scoring.outcome import Outcome, Score
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
+from asia.judge.scoring.outcome import Outcome, Score, score_outputs
 from asia.problem.folds import Fold
 from asia.problem.problem import Problem
 
@@ -259,7 +258,7 @@ def best_linear(evaluator: Evaluator) -> Reference:
         return evaluator.evaluate(source), source
 
     options = [scored()]
-    known = [dict(findings.parameters) for findings in options[0][0].findings]
+    known = [dict(record.parameters) for record in options[0][0].folds]
     names = "order [states]", "delay [samples]"
     each = [(round(one[names[0]]), round(one[names[1]])) for one in known if names[1] in one]
     if len(set(each)) > 1:

@@ -1,130 +1,220 @@
-"""Fits of folds, here or on other machines: requests and replies as bytes."""
+"""Fits of folds on other machines: requests and answers as bytes.
+
+A request is made by the search and may be unpickled there. An answer holds data made by a
+candidate: it is JSON and raw numbers, which the search checks against its request.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import math
+import pickle
 import socket
 import threading
-import time
-from collections.abc import Callable, Collection, Generator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import replace
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from itertools import chain
-from typing import Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from asia._timer import Activity
+from asia._timer import Activity, Seconds
 from asia.candidate import Context, imported_libraries
-from asia.errors import CandidateError, SandboxError, UserError
-from asia.judge.evaluation.findings import FoldFit
+from asia.data.trajectory import Array
+from asia.errors import CandidateError, Reason, SandboxError, UserError
+from asia.judge.evaluation.fold_fits import FoldData, FoldFit, FoldFitter, fit_fold
 from asia.judge.evaluation.machines import check_installation, installation
 from asia.judge.evaluation.relations import SuspicionKind
-from asia.judge.evaluation.requests import side_by_side, simulate_each, simulate_training
-from asia.judge.evaluation.results import derive_seed
-from asia.judge.evaluation.transport import (
-    FoldAttempt,
-    FoldData,
-    FoldWork,
-    decode_answer,
-    decode_data,
-    decode_work,
-    encode_answer,
-    encode_data,
-    encode_trouble,
-    encode_work,
-    fold_data,
-    installation_of,
-)
 from asia.judge.evaluation.validation_score import Oracle
-from asia.judge.evaluation.workers import OnLoss, WorkerRunner
+from asia.judge.evaluation.workers import WorkerRunner
+from asia.judge.executors import RemoteExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker, why_not
-from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.standby import StandbyWorkers
-from asia.judge.sandbox.types import Isolation, Limits
+from asia.judge.sandbox.types import Isolation, Limits, WorkerKilledError
 from asia.judge.sandbox.worker.worker import Worker
 from asia.problem.folds import Fold, whole
 from asia.problem.protocol import ProtocolRule
 
 _LOOK_SECONDS = 0.5
 _KEPT_SECONDS = 60.0
-# Processor time of a simulation of the training records from which on it is not repeated.
-_SLOW_SECONDS = 2.0
+_HEAD_BYTES = 8
+
+Blob: TypeAlias = bytes | memoryview
+"""Raw bytes of a message."""
+FoldAttempt: TypeAlias = FoldFit[bytes] | CandidateError
+"""A fitted fold, or why there is none."""
 
 
-class OpenWorker(Protocol):
-    """Opener of workers for a candidate."""
+@dataclass(frozen=True)
+class FoldWork:
+    """Work on a fold: everything that its outcome depends on, besides the data that it names."""
 
-    def __call__(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
-        """Open one, to fit it or to load its models."""
-        ...
+    problem: str
+    """sha256 of the run's lock file; "" for an evaluation outside a run."""
+    data: str
+    """sha256 of the `FoldData` as bytes."""
+    source: str = field(repr=False)
+    context: Context = field(repr=False)
+    """Context of the candidate, with its seed. The deadline is set on the machine that fits."""
+    limits: Limits
+    isolation: Isolation
+    """The level that must keep the candidate in."""
+    layers: tuple[str, ...]
+    """The layers of this level that must be in force."""
+    alone: bool = False
+    """Whether no worker may be started while it runs, since it could tell that one something."""
 
 
-def fit_fold(
-    work: FoldWork,
-    data: FoldData,
-    open_worker: OpenWorker,
-    oracle: Oracle | None = None,
-    on_loss: OnLoss | None = None,
-) -> FoldFit:
-    """Fit in one worker, which reports its parameters before it receives a case, and simulate there
-    and in fresh ones.
+def encode_data(data: FoldData) -> tuple[str, bytes]:
+    """Digest and bytes."""
+    raw = pickle.dumps(data, protocol=5)
+    return hashlib.sha256(raw).hexdigest(), raw
+
+
+def decode_data(raw: bytes, digest: str) -> FoldData:
+    """The data of a search of our own. Raises SandboxError where they are not those."""
+    if hashlib.sha256(raw).hexdigest() != digest:
+        raise SandboxError("the data of a fold came as other bytes than the search sent")
+    return pickle.loads(raw)
+
+
+def encode_work(work: FoldWork, installation: Mapping[str, str]) -> bytes:
+    """installation: of the search's own machine, compared before anything else is read."""
+    body = pickle.dumps(work, protocol=5)
+    return _packed({"installation": dict(installation)}, [body])
+
+
+def installation_of(request: bytes) -> dict[str, str]:
+    """That of the machine that sent the request."""
+    return _unpacked(request)[0]["installation"]
+
+
+def decode_work(request: bytes) -> FoldWork:
+    """The work in a request of our own search."""
+    return pickle.loads(_unpacked(request)[1][0])
+
+
+def encode_answer(result: FoldAttempt, spent: Seconds) -> bytes:
+    """Encode the texts of a candidate as JSON strings, its arrays as raw float64."""
+    head: dict[str, Any] = {
+        "printed": result.printed,
+        "spent": {activity.value: seconds for activity, seconds in spent.items()},
+    }
+    if isinstance(result, CandidateError):
+        return _packed({**head, "reason": result.reason.value, "detail": result.detail}, [])
+    head |= {
+        "machine": result.machine,
+        "isolation": result.isolation,
+        "seconds": result.seconds,
+        "parameters": result.parameters,
+        "memory_mb": result.memory_mb,
+        "compile_seconds": result.compile_seconds,
+        "numbers": result.numbers,
+        "simulate_seconds": result.simulate_seconds,
+        "train": len(result.train_y_hat),
+    }
+    raw = (
+        np.ascontiguousarray(array, "<f8").reshape(-1).view(np.uint8).data
+        for array in (result.curve, *result.y_hat, *result.train_y_hat)
+    )
+    return _packed(head, [result.model, *raw])
+
+
+_TROUBLES: dict[str, type[SandboxError | UserError]] = {
+    "user": UserError,
+    "killed": WorkerKilledError,
+    "sandbox": SandboxError,
+}
+
+
+def encode_trouble(error: SandboxError | UserError) -> bytes:
+    """Encode an error in place of an answer: a worker that was killed, or a machine that cannot do
+    the work."""
+    kind = next(kind for kind, error_type in _TROUBLES.items() if isinstance(error, error_type))
+    return _packed({"trouble": kind, "words": str(error)}, [])
+
+
+def decode_answer(
+    reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]
+) -> tuple[FoldAttempt, Seconds]:
+    """Decode the answer to work on `data`: the fitted fold, and the time that it took.
 
     Args:
-        oracle: scores the model on the held-out part during the fit, where the protocol allows
-            it; it has the held-out outputs, so it exists only on the search's own machine
-        on_loss: called while the fit runs
+        train: (H, ny) of the blocks of its training records
 
     Raises:
-        CandidateError: with what the candidate printed
-        SandboxError: for a failure that the candidate did not cause
+        SandboxError: for an invalid answer
+        UserError: as given to `encode_trouble`
     """
-    printed = ""
     try:
-        with open_worker(work.source, fitting=True) as worker:
-            context = replace(work.context, deadline=time.monotonic() + work.limits.fit_seconds)
-            try:
-                with oracle or nullcontext():
-                    shown = on_loss and partial(on_loss, work.source, work.fold)
-                    reply = worker.fit(
-                        work.source, data.train, context, oracle, program_store(), shown
-                    )
-            finally:
-                printed = worker.printed
-            parameters, model = worker.parameters(), worker.dump()
-            # Before the first case: later a candidate could let held-out values decide on them.
-            memory, compiling = worker.peak_memory_mb, worker.compile_seconds()
-            numbers = worker.numbers()
-            # Before the held-out cases too: the residuals on the training records are reported.
-            inside = whole(data.train, data.rule)
-            train_y_hat = simulate_training(worker.simulate_known, inside, data.rule.horizon)
-            first = simulating = worker.spent[Activity.SIMULATE][1]
-            # The first one also compiles and loads: a second one shows the time of a sample.
-            if first < _SLOW_SECONDS:
-                simulate_training(worker.simulate_known, inside, data.rule.horizon)
-                simulating = worker.spent[Activity.SIMULATE][1] - first
-            blocks, (first, *others) = data.held_out, data.sessions
-            together = side_by_side(work.source, data.rule)
-            found = simulate_each(worker, blocks, first, data.secret, together=together)
-        for session in others:
-            with open_worker(work.source, fitting=False) as fresh:
-                fresh.load(work.source, model, context)
-                found |= simulate_each(fresh, blocks, session, data.secret, together=together)
-    except CandidateError as error:
-        raise CandidateError(error.reason, error.detail, printed) from error
-    return FoldFit(
-        model=model,
-        curve=reply.curve,
-        printed=printed,
-        seconds=reply.seconds,
-        parameters=parameters,
-        y_hat=tuple(np.ascontiguousarray(found[i], "<f8") for i in range(len(data.held_out))),
-        train_y_hat=tuple(np.ascontiguousarray(one, "<f8") for one in train_y_hat),
-        memory_mb=memory,
-        compile_seconds=compiling,
-        numbers=numbers,
-        simulate_seconds=simulating,
-    )
+        head, blobs = _unpacked(reply)
+        if "trouble" in head:
+            raise _TROUBLES.get(head["trouble"], SandboxError)(str(head["words"]))
+        return _answer(head, blobs, data, train)
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise SandboxError(f"a worker machine answered what is no answer: {error}") from None
+
+
+def _answer(
+    head: dict[str, Any], blobs: Sequence[bytes], data: FoldData, train: Sequence[tuple[int, int]]
+) -> tuple[FoldAttempt, Seconds]:
+    result: FoldAttempt
+    printed = str(head["printed"])
+    if "reason" in head:
+        result = CandidateError(Reason(head["reason"]), str(head["detail"]), printed)
+    else:
+        held_out = [one.y.shape for one in data.held_out]
+        shapes = [*held_out, *train]
+        if head["train"] != len(train) or len(blobs) != 2 + len(shapes):
+            raise ValueError("another number of simulations")
+        y_hat = [_floats(raw, shape) for raw, shape in zip(blobs[2:], shapes, strict=True)]
+        curve = _floats(blobs[1], (len(blobs[1]) // 16, 2))
+        memory = head["memory_mb"]
+        result = FoldFit(
+            model=bytes(blobs[0]),
+            curve=curve,
+            printed=printed,
+            seconds=float(head["seconds"]),
+            parameters=tuple((str(name), float(value)) for name, value in head["parameters"]),
+            y_hat=tuple(y_hat[: len(held_out)]),
+            train_y_hat=tuple(y_hat[len(held_out) :]),
+            memory_mb=None if memory is None else float(memory),
+            compile_seconds=float(head["compile_seconds"]),
+            numbers=None if head["numbers"] is None else int(head["numbers"]),
+            simulate_seconds=float(head["simulate_seconds"]),
+            machine=str(head["machine"]),
+            isolation=str(head["isolation"]),
+        )
+    spent = {Activity(k): (float(a), float(b)) for k, (a, b) in head["spent"].items()}
+    return result, spent
+
+
+def _floats(raw: bytes, shape: tuple[int, int]) -> Array:
+    if len(raw) != 8 * math.prod(shape):
+        raise ValueError(f"{len(raw)} bytes for an array {shape}")
+    return np.frombuffer(raw, "<f8").astype(np.float64).reshape(shape)
+
+
+def _packed(head: dict[str, Any], blobs: Sequence[Blob]) -> bytes:
+    text = json.dumps({**head, "lengths": [len(blob) for blob in blobs]}).encode()
+    return b"".join((len(text).to_bytes(_HEAD_BYTES, "little"), text, *blobs))
+
+
+def _unpacked(raw: bytes) -> tuple[dict[str, Any], list[bytes]]:
+    end = _HEAD_BYTES + int.from_bytes(raw[:_HEAD_BYTES], "little")
+    head: dict[str, Any] = json.loads(raw[_HEAD_BYTES:end])
+    blobs: list[bytes] = []
+    for length in head["lengths"]:
+        blobs.append(raw[end : end + length])
+        end += length
+    if end != len(raw):
+        raise ValueError("its parts have other lengths")
+    return head, blobs
+
+
+# On a worker machine.
 
 
 class StandbyPool:
@@ -204,7 +294,10 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
 
         found: FoldAttempt
         try:
-            found = fit_fold(work, decode_data(data, work.data), opened)
+            found = fit_fold(
+                work.source, work.context, decode_data(data, work.data), opened,
+                work.limits.fit_seconds,
+            )  # fmt: skip
             found = replace(found, machine=machine, isolation=work.isolation.value)
         except CandidateError as error:
             found = error
@@ -252,66 +345,59 @@ def _watched(worker: Worker, unwanted: Callable[[], bool]) -> Generator[None]:
         watch.join()
 
 
-class FoldFitter:
-    """Fits the folds of one search on this machine or on remote ones."""
+# On the machine of the search.
+
+
+class RemoteFoldFitter(FoldFitter):
+    """Fits the folds of one search on other machines."""
 
     def __init__(
         self,
         rule: ProtocolRule,
         context: Context,
         workers: WorkerRunner,
+        carrier: RemoteExecutor,
         problem: str,
         without: Collection[SuspicionKind] = (),
     ) -> None:
         """Prepare the folds of a search.
 
         Args:
-            rule: protocol of the problem
-            context: part of the context that is the same for all folds
-            workers: runs the fits
+            carrier: brings the work to the machines
             problem: sha256 of the run's lock file
-            without: as in `EvaluatorOptions`
 
         Raises:
-            UserError: where folds are fitted on other machines and candidates may ask for their
-                score, which takes the held-out outputs to the machine that fits
+            UserError: where candidates may ask for their score, which takes the held-out outputs to
+                the machine that fits
         """
-        if workers.remote is not None and rule.early_stopping != "inner":
+        if rule.early_stopping != "inner":
             raise UserError(
                 "validation early stopping needs the held-out outputs where a candidate is fitted, "
                 "and other machines do not get them: use --executor local"
             )
-        self._rule, self._context = rule, context
-        self._workers, self._problem, self._without = workers, problem, without
-        self._data: dict[int, tuple[FoldData, str, bytes]] = {}
+        super().__init__(rule, context, workers, without)
+        self._carrier, self._problem = carrier, problem
+        self._sent: dict[int, tuple[str, bytes]] = {}
 
-    def fit(self, source: str, fold: Fold, start: int, oracle: Oracle | None) -> FoldFit:
-        """Fit `source` on a fold; start: another one has another seed. The cancel flag of this
-        thread ends it on a remote machine too. Raises CandidateError and SandboxError, and
-        UserError where a machine is not fit for the work."""
-        workers, carrier = self._workers, self._workers.remote
-        if fold.index not in self._data:
-            data = fold_data(fold, self._rule)
-            if SuspicionKind.LOOK_AHEAD in self._without:
-                data = replace(data, secret=None)
-            if SuspicionKind.STRANGERS in self._without:
-                data = replace(data, sessions=(tuple(chain(*data.sessions)),))
-            digest, raw = ("", b"") if carrier is None else encode_data(data)
-            self._data[fold.index] = data, digest, raw
-        data, digest, raw = self._data[fold.index]
+    def _fit(
+        self, source: str, context: Context, fold: Fold, oracle: Oracle | None
+    ) -> FoldFit[bytes]:
+        """As on this machine; raises also UserError where a machine is not fit for the work."""
+        del oracle
+        workers, carrier, data = self._workers, self._carrier, self._data[fold.index]
+        if fold.index not in self._sent:
+            self._sent[fold.index] = encode_data(data)
+        digest, raw = self._sent[fold.index]
         work = FoldWork(
             problem=self._problem,
             data=digest,
-            fold=fold.index + 1,
             source=source,
-            context=replace(self._context, seed=derive_seed(self._context.seed, fold.index, start)),
+            context=context,
             limits=workers.limits,
             isolation=workers.isolation,
             layers=tuple(layer.value for layer in layers_in_force(workers.isolation)),
             alone=workers.is_sequential,
         )
-        if carrier is None:
-            return fit_fold(work, data, workers.open_for, oracle, workers.on_loss)
         request = encode_work(work, installation())
         with workers.settings.cancel.on_cancel(partial(carrier.forget, request)):
             reply = carrier.carry(answer, request, digest, raw)

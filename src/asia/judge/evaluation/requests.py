@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from asia.candidate import library_only
-from asia.data.segment import Segment
+from asia.data.segment import Segment, stacked
 from asia.data.trajectory import Array, filled
 from asia.judge.scoring.outcome import check_reply
 from asia.problem.protocol import ProtocolRule
@@ -102,16 +102,11 @@ def simulate_each(
         groups.setdefault(size if together else i, []).append(i)
     found: dict[int, Array] = {}
     for group in groups.values():
-        cases = [blocks[i] for i in group]
-        arrays = (
-            _stacked([case.past_u for case in cases]),
-            _stacked([case.past_y for case in cases]),
-            _stacked([case.u for case in cases]),
-        )
+        cases = stacked([blocks[i] for i in group])
         if secret is None:
-            y_hat = worker.simulate_known(*arrays)
+            y_hat = worker.simulate_known(cases.past_u, cases.past_y, cases.u)
         else:
-            y_hat = worker.simulate(*arrays, secret)
+            y_hat = worker.simulate(cases.past_u, cases.past_y, cases.u, secret)
         for i, simulated in zip(group, y_hat, strict=True):
             check_reply(simulated, blocks[i].y.shape)
             found[i] = simulated
@@ -139,11 +134,8 @@ def simulate_training(
         cases = [blocks[i] for i in part.tolist()]
         # Requests of one size, so that a model compiles once.
         cases += cases[:1] * (-(-len(blocks) // max(count, 1)) - len(cases))
-        y_hat = simulate(
-            _stacked([case.past_u for case in cases]),
-            _stacked([case.past_y for case in cases]),
-            _stacked([case.u for case in cases]),
-        )
+        together = stacked(cases)
+        y_hat = simulate(together.past_u, together.past_y, together.u)
         for index, simulated in zip(part.tolist(), y_hat, strict=False):
             check_reply(simulated, blocks[index].y.shape)
             found.append(simulated)
@@ -268,8 +260,3 @@ def scored_cases(
         )
         for i in places
     )
-
-
-def _stacked(rows: Sequence[Array]) -> Array:
-    """Side by side; a single one, which may be long, without a copy."""
-    return rows[0][None] if len(rows) == 1 else np.stack(rows)

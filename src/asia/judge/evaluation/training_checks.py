@@ -4,7 +4,7 @@ They run at every evaluation, so they use few samples and the worst outputs only
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from asia.candidate import Context
 from asia.data.segment import Segment
 from asia.data.trajectory import Array, filled
 from asia.judge.evaluation.requests import spread
-from asia.judge.scoring.checks.check import Verdict
+from asia.judge.scoring.checks.check import RecordedCheck, Verdict
 from asia.judge.scoring.checks.residual import residual_checks
 from asia.judge.scoring.checks.response import check_frequency_response, check_gain
 from asia.judge.scoring.checks.validation_data import SimulatedSegments, without_responses
@@ -21,21 +21,9 @@ _MOST_SAMPLES, _MOST_OUTPUTS, _MOST_INPUTS = 2000, 2, 4
 _FEWEST_SAMPLES = 200
 
 
-@dataclass(frozen=True)
-class TrainingCheck:
-    """A check that does not pass on the training records of a fold."""
-
-    name: str
-    verdict: Verdict
-    """`doubt` or `fail`."""
-    sentence: str
-    """Finding, with numbers."""
-    weight: float
-
-
 def training_checks(
     blocks: Sequence[Segment], y_hat: Sequence[Array], scale: Array, context: Context
-) -> tuple[TrainingCheck, ...]:
+) -> tuple[RecordedCheck, ...]:
     """Run the checks and return those that do not pass, the most important first.
 
     Checks that need further simulations are left out. () for records that are too short.
@@ -67,4 +55,6 @@ def training_checks(
     checks = (*residual_checks(data), check_gain(data), check_frequency_response(data))
     raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
     raised.sort(key=lambda c: -c.weight)
-    return tuple(TrainingCheck(c.name, c.verdict, c.sentence, round(c.weight, 4)) for c in raised)
+    return tuple(
+        RecordedCheck(c.name, c.verdict, c.sentence, weight=round(c.weight, 4)) for c in raised
+    )

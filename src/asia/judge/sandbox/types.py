@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from asia.data.trajectory import Array
 from asia.errors import SandboxError
 
 
@@ -69,15 +68,3 @@ Raises:
     ScoreRefusedError: when no score is given
     CandidateError: where the model makes the candidate fail
 """
-
-
-@dataclass(frozen=True)
-class FitReply:
-    """Reply of a fit besides the model, reported by the candidate itself."""
-
-    curve: Array
-    """(n, 2) step and loss given to `context.log`, at most 2000 rows, may hold NaN."""
-    output: str
-    """The first 64 KB of stdout and stderr."""
-    seconds: float
-    """Wall time of the `fit` call, measured outside."""

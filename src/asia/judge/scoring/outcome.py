@@ -1,14 +1,22 @@
 """Outcomes: scores, failures, and their computation from simulated outputs."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, TypeAdapter
 
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, InternalError, Reason, UserError
+from asia.judge.artifacts import ArtifactName, ArtifactStore
+from asia.judge.scoring.checks.check import RecordedCheck
+from asia.judge.scoring.residuals import Diagnostics, SignedResidual, pooled
+from asia.problem.folds import Fold
 from asia.problem.metrics import METRICS, by_measured, find_metric, mean_of_known
 
 # Measures of fit in addition to the metric. Arrays are (samples, channels) in physical units.
@@ -32,11 +40,6 @@ def _energy_ratio(y: Array, y_hat: Array) -> Array:
         return np.sum((y - y_hat) ** 2, axis=0) / np.where(spread > 0, spread, np.nan)
 
 
-def pooled(parts: Sequence[Array]) -> Array:
-    """All samples of all cases, one below the other; a single one, which may be long, as it is."""
-    return parts[0] if len(parts) == 1 else np.concatenate(list(parts), axis=0)
-
-
 # Outcome of an experiment: a Score, finite by construction, or a Failure with a reason.
 
 DIVERGED = 1e100
@@ -44,8 +47,29 @@ PARTS = 8
 
 
 @dataclass(frozen=True)
-class FoldScore:
-    """Score on one fold. Raises InternalError when a number in it is not finite."""
+class StepErrors:
+    """The errors on the held-out windows at one step."""
+
+    step: int
+    """Step within the window, from 1."""
+    errors: tuple[float, ...]
+    """Metric of each output, as it enters V."""
+
+
+# Fields that are left out of JSON where they hold nothing.
+_EMPTY: Any = Field(exclude_if=lambda value: not value)
+_UNKNOWN: Any = Field(exclude_if=lambda value: value is None)
+_NO_DIAGNOSTICS = Diagnostics()
+_ABSENT: Any = Field(exclude_if=lambda value: value == _NO_DIAGNOSTICS)
+
+
+@dataclass(frozen=True)
+class FoldRecord:
+    """One fold of a model: its score, and of a fitted candidate the fit and its diagnostics.
+
+    A ledger holds it as `stored`; what is empty then comes back by `loaded`. Two records are equal
+    where their scores are. Raises InternalError when a number of the score is not finite.
+    """
 
     value: float
     """The metric as it enters V: mean over the outputs, lower is better."""
@@ -57,8 +81,61 @@ class FoldScore:
     """Fit index of each output in percent; None where the held-out output does not move."""
     r2: tuple[float | None, ...]
     """R^2 of each output; None where the held-out output does not move."""
-    other: tuple[float, ...] = ()
+    other: Annotated[tuple[float, ...], _EMPTY] = ()
     """The problem's metric of each output where it is neither RMSE nor MAE, else ()."""
+    model: Annotated[ArtifactName, _EMPTY] = field(default="", compare=False)
+    """The fitted model, never parsed outside a sandbox; "" where nothing was fitted."""
+    y_hat: Annotated[ArtifactName, _EMPTY] = field(default="", compare=False)
+    """Simulated outputs (H, ny) of each held-out block."""
+    curve: Annotated[ArtifactName, _EMPTY] = field(default="", compare=False)
+    """Step and loss as logged by the candidate, (n, 2)."""
+    diagnostics: Annotated[Diagnostics, _ABSENT] = field(default=_NO_DIAGNOSTICS, compare=False)
+    fit_seconds: Annotated[float, _EMPTY] = field(default=0.0, compare=False)
+    validation_scores: Annotated[int, _EMPTY] = field(default=0, compare=False)
+    """Number of requests of the fit for its score on the held-out part."""
+    findings: Annotated[ArtifactName | None, _UNKNOWN] = field(default=None, compare=False)
+    """The whole record; None before it is stored, and in older ledgers."""
+    machine: Annotated[str, _EMPTY] = field(default="", compare=False)
+    """The machine that fitted it; "" for the search's own."""
+    isolation: Annotated[str, _EMPTY] = field(default="", compare=False)
+    """The level in force on that machine; "" for the search's own."""
+    attempt: Annotated[int, _EMPTY] = field(default=0, compare=False)
+    """Seed of the fit in older ledgers, where the first one fitted the fold's own data badly."""
+    errors: Annotated[tuple[float, ...], _EMPTY] = field(default=(), compare=False)
+    """The metric of each output on the held-out part, as it enters V."""
+    train_errors: Annotated[tuple[float, ...], _EMPTY] = field(default=(), compare=False)
+    """The same on the training records."""
+    steps: Annotated[tuple[StepErrors, ...], _EMPTY] = field(default=(), compare=False)
+    """The held-out errors at the steps that the protocol names; () for long simulations."""
+    residuals: Annotated[tuple[SignedResidual, ...], _EMPTY] = field(default=(), compare=False)
+    """Mean residuals in the simulation of the training records, the largest shares first."""
+    held_out_residuals: Annotated[tuple[SignedResidual, ...], _EMPTY] = field(
+        default=(), compare=False
+    )
+    """Mean residuals in the simulation of the held-out part; () unless the protocol shows these."""
+    parameters: Annotated[tuple[tuple[str, float], ...], _EMPTY] = field(default=(), compare=False)
+    """Names and values that the model offers."""
+    checks: Annotated[tuple[RecordedCheck, ...] | None, _UNKNOWN] = field(
+        default=None, compare=False
+    )
+    """Those of `asia validate` that do not pass on the training records; None in older ledgers and
+    where these checks failed."""
+    failed: Annotated[tuple[str, ...], _EMPTY] = field(default=(), compare=False)
+    """Diagnostics that raised an exception, a line each."""
+    printed: Annotated[str, _EMPTY] = field(default="", compare=False)
+    """Text that the candidate printed during the fit, its middle left out where it is long."""
+    compile_seconds: Annotated[float, _EMPTY] = field(default=0.0, compare=False)
+    """Time in which JAX traced and compiled in the fit, as the worker reported before its first
+    case."""
+    memory_mb: Annotated[float | None, _UNKNOWN] = field(default=None, compare=False)
+    """The largest address space of the worker before its first case; None where the system does not
+    say."""
+    numbers: Annotated[int | None, _UNKNOWN] = field(default=None, compare=False)
+    """Count of the numbers in the fitted model, as the worker reported before its first case; None
+    if not known, and in older ledgers."""
+    sample_seconds: Annotated[float | None, _UNKNOWN] = field(default=None, compare=False)
+    """Processor time to simulate a sample of the training records, compiled before; None in older
+    ledgers."""
 
     def __post_init__(self) -> None:
         lists = self.rmse, self.mae, self.fit_index, self.r2, self.other
@@ -75,6 +152,30 @@ class FoldScore:
         """The lowest fit index over the channels."""
         return min((f for f in self.fit_index if f is not None), default=None)
 
+    @property
+    def score(self) -> FoldRecord:
+        """The score alone, as of a model that was not fitted."""
+        return FoldRecord(self.value, self.rmse, self.mae, self.fit_index, self.r2, self.other)
+
+    def stored(self, store: ArtifactStore) -> FoldRecord:
+        """Keep the record as an artifact, and return the part of it that an event holds."""
+        whole = self.findings or store.put(_RECORD.dump_json(self))
+        return replace(
+            self, findings=whole, errors=(), train_errors=(), steps=(), residuals=(),
+            held_out_residuals=(), parameters=(), checks=None, failed=(), printed="",
+            compile_seconds=0.0, memory_mb=None, numbers=None, sample_seconds=None,
+        )  # fmt: skip
+
+    def loaded(self, store: ArtifactStore) -> FoldRecord:
+        """Return the whole record; itself in older ledgers. Raises UserError as
+        `ArtifactStore.parse`."""
+        if self.findings is None:
+            return self
+        return store.parse(self.findings, _RECORD, _RECORD.dump_python(self, mode="json"))
+
+
+_RECORD: TypeAdapter[FoldRecord] = TypeAdapter(FoldRecord)
+
 
 @dataclass(frozen=True)
 class Score:
@@ -82,7 +183,7 @@ class Score:
 
     value: float
     """V, the mean over the folds."""
-    folds: tuple[FoldScore, ...]
+    folds: tuple[FoldRecord, ...]
     """One a fold, in order."""
 
     def __post_init__(self) -> None:
@@ -99,6 +200,8 @@ class Failure:
     """Exception text or measurement, of any length."""
     fold: int | None = None
     """The fold that failed, 1-based; None when no fold was reached."""
+    folds: Annotated[tuple[FoldRecord, ...], _EMPTY] = field(default=(), compare=False)
+    """The folds where all were scored, and the candidate was refused after that."""
 
     @property
     def advice(self) -> str:
@@ -129,7 +232,7 @@ def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
         raise CandidateError(Reason.NOT_FINITE)
 
 
-def score_fold(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str) -> FoldScore:
+def score_fold(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str) -> FoldRecord:
     """Score the simulated blocks of one fold.
 
     The metric of each channel is taken over all measured samples of all blocks, divided by scale
@@ -153,7 +256,7 @@ def score_fold(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric:
     indices = _defined(fit_index(a, b)), _defined(r2(a, b))
     rmse, mae = (_t(METRICS[name].values(a, b)) for name in ("rmse", "mae"))
     other = () if metric in ("rmse", "mae") else _t(judge.values(a, b))
-    return FoldScore(value, rmse, mae, *indices, other)
+    return FoldRecord(value, rmse, mae, *indices, other)
 
 
 def score_parts(
@@ -168,9 +271,53 @@ def score_parts(
     return tuple(one for one in found if not math.isnan(one))
 
 
-def combine(folds: Sequence[FoldScore]) -> Score:
+def combine(folds: Sequence[FoldRecord]) -> Score:
     """V over the folds."""
     return Score(float(np.mean([f.value for f in folds])), tuple(folds))
+
+
+def score_outputs(
+    folds: Sequence[Fold], outputs: Sequence[Sequence[Array]], metric: str
+) -> Outcome:
+    """Score given simulations, one (H, ny) array a held-out block of each fold."""
+    scores = [
+        score_fold([b.y for b in fold.held_out], y_hat, fold.scale, metric)
+        for fold, y_hat in zip(folds, outputs, strict=True)
+    ]
+    return combine(scores)
+
+
+def same_simulations(first: Sequence[FoldRecord], again: Sequence[FoldRecord]) -> bool:
+    """Return whether every simulation came out bitwise the same."""
+    return all(one.y_hat == other.y_hat for one, other in zip(first, again, strict=True))
+
+
+def mean_simulation(each: Sequence[tuple[Array, ...] | CandidateError]) -> tuple[Array, ...]:
+    """The mean over models of their simulations, one (H, ny) array a block. Raises the first
+    CandidateError among them."""
+    simulations: list[tuple[Array, ...]] = []
+    for one in each:
+        if isinstance(one, CandidateError):
+            raise one
+        simulations.append(one)
+    return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*simulations, strict=True))
+
+
+SUSPICIOUS_RATIO = 0.6
+"""V over the training error, below which it takes more evidence. Honest candidates lie above
+0.9."""
+
+
+def consistency(value: float, training_errors: Sequence[float]) -> float:
+    """V over the mean training error of the folds, both normalised by the same standard
+    deviations."""
+    train = float(np.mean(training_errors))
+    return value / train if train > 0 else float("inf")
+
+
+POOR = 2.0
+"""Training error of a fold, relative to the median of the other folds, from which on its fit
+probably ended in a poor minimum."""
 
 
 USABLE_SHARE = 0.5

@@ -10,7 +10,7 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.errors import InternalError
-from asia.judge.scoring.outcome import pooled
+from asia.judge.scoring.residuals import pooled
 from asia.problem.metrics import find_metric
 
 _LEVEL = 0.9

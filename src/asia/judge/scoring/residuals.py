@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Signal
 from asia.errors import CandidateError, Reason
-from asia.judge.scoring.outcome import pooled
 
 _LAGS = 40
 QUANTILE = 2.5758293035489004
+
+
+def pooled(parts: Sequence[Array]) -> Array:
+    """All samples of all cases, one below the other; a single one, which may be long, as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(list(parts), axis=0)
 
 
 def cross_correlation(a: Sequence[Array], b: Sequence[Array], most: int) -> Array:
@@ -105,17 +109,17 @@ class Diagnostics:
     0..20, likewise. top_error and bottom_error: RMS
     residual where the output lies in its highest / lowest tenth, over the RMS residual.
     start_error: RMS residual in the first 5 % of the records, over the RMS residual. curvature:
-    |correlation| of the residual with the squared centred output.
+    |correlation| of the residual with the squared centred output. All are 0 where there is none.
     """
 
-    train_error: float
-    bias: float
-    whiteness: float
-    input_correlation: float
-    top_error: float
-    bottom_error: float
-    start_error: float
-    curvature: float
+    train_error: float = 0.0
+    bias: float = 0.0
+    whiteness: float = 0.0
+    input_correlation: float = 0.0
+    top_error: float = 0.0
+    bottom_error: float = 0.0
+    start_error: float = 0.0
+    curvature: float = 0.0
 
 
 def diagnose(

@@ -23,7 +23,7 @@ from asia.models._config import Progress
 from asia.models._equations.measured import MeasuredCell
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._networks.structure import Params, rollout
-from asia.models._numerics.training_records import HorizonWindows
+from asia.models._numerics.training_records import SegmentBatch
 
 Judge = Callable[[Params], float]
 
@@ -55,7 +55,7 @@ class TermPenalties:
 def fit_equations(
     cell: MeasuredCell,
     params: Params,
-    windows: HorizonWindows,
+    windows: SegmentBatch,
     settings: TermPenalties,
     method: LevenbergMarquardt,
     log: Progress,
@@ -74,7 +74,7 @@ def fit_equations(
     every = _WindowErrors(cell, kept, packing, windows, settings)
     few = every
     if rounds > 1 and len(windows.u) >= _MANY:
-        quarter = windows._make(a[::4] for a in windows)
+        quarter = SegmentBatch(*(a[::4] for a in windows[:4]))
         few = _WindowErrors(cell, kept, packing, quarter, settings)
     theta, best, best_score = theta0, theta0, float("inf")
     method = replace(method, tolerance=_LEAST_GAIN)
@@ -113,11 +113,11 @@ class _WindowErrors:
         cell: MeasuredCell,
         kept: Params,
         packing: Packing,
-        windows: HorizonWindows,
+        windows: SegmentBatch,
         settings: TermPenalties,
     ) -> None:
         self._kept, self._packing, self._threshold = dict(kept), packing, settings.robust
-        windows = windows._make(np.asarray(a, np.float32) for a in windows)
+        windows = SegmentBatch(*(np.asarray(a, np.float32) for a in windows[:4]))
         fixed = {"fixed": kept["fixed"]}
         self._program = partial(_errors, cell, packing, fixed, windows)
         self._linearised = partial(_derivatives, cell, packing, fixed, windows)
@@ -154,17 +154,17 @@ def _double(values: jax.Array) -> Array:
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _errors(
-    cell: MeasuredCell, packing: Packing, fixed: Any, windows: HorizonWindows, theta: jax.Array
+    cell: MeasuredCell, packing: Packing, fixed: Any, windows: SegmentBatch, theta: jax.Array
 ) -> jax.Array:
     """Errors (N,) at parameters theta (n,)."""
-    y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.features, windows.u)
+    y = rollout(cell, {**fixed, **packing.unpack(theta)}, windows.window, windows.u)
     error = windows.weight * (y - windows.y)
     return error[:, _EVERY - 1 :: _EVERY].ravel()
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _derivatives(
-    cell: MeasuredCell, packing: Packing, fixed: Any, windows: HorizonWindows, theta: jax.Array
+    cell: MeasuredCell, packing: Packing, fixed: Any, windows: SegmentBatch, theta: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Errors (N,) and their derivatives (n, N)."""
 

@@ -14,9 +14,9 @@ from asia.models._linear.fit import Refinement
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import Encoder, affine
 from asia.models._numerics.training_records import (
-    HorizonWindows,
     ScaledData,
     ScaledTrajectory,
+    SegmentBatch,
     contiguous_splits,
     cut_windows,
     mean_square,
@@ -88,17 +88,17 @@ class WindowPredictor:
     theta: Array  # (order + nu + 1, ny)
     ridge: float = 0.0  # Ridge of the fit, against the mean squared error
 
-    def simulate(self, windows: HorizonWindows) -> Array:
+    def simulate(self, windows: SegmentBatch) -> Array:
         """Simulate windows: outputs (W, H, ny)."""
         s, from_u, from_y = self.lags.shift()
-        x, outputs = self.lags.state(windows.features), np.empty_like(windows.y)
+        x, outputs = self.lags.state(windows.window), np.empty_like(windows.y)
         for k in range(windows.u.shape[1]):
             u = windows.u[:, k]
             outputs[:, k] = _regressors(x, u) @ self.theta
             x = x @ s + u @ from_u + outputs[:, k] @ from_y
         return outputs
 
-    def error(self, windows: HorizonWindows) -> float:
+    def error(self, windows: SegmentBatch) -> float:
         """Mean squared simulation error; infinite where it diverges."""
         with np.errstate(all="ignore"):
             error = mean_square(self.simulate(windows) - windows.y, windows.weight)
@@ -120,11 +120,11 @@ class WindowPredictor:
         return LinearSystem(a.T, b.T, c.T, by_u.T, np.zeros(lags.ny)), encoder
 
 
-def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowPredictor:
+def one_step(windows: SegmentBatch, lags: WindowLags, ridge: float) -> WindowPredictor:
     """Least squares on all one-step predictions inside the windows; `ridge` weighs, against the
     mean square of the signals, the distance from `held`."""
     s, from_u, from_y = lags.shift()
-    x, regressors = lags.state(windows.features), list[Array]()
+    x, regressors = lags.state(windows.window), list[Array]()
     for k in range(windows.u.shape[1]):
         u, y = windows.u[:, k], windows.y[:, k]
         regressors.append(_regressors(x, u))
@@ -150,7 +150,7 @@ def held(lags: WindowLags) -> Array:
 
 
 def refined(
-    start: WindowPredictor, windows: HorizonWindows, ridge: float, iterations: int, tolerance: float
+    start: WindowPredictor, windows: SegmentBatch, ridge: float, iterations: int, tolerance: float
 ) -> WindowPredictor:
     """Refine by Levenberg-Marquardt on the mean squared simulation error over the windows' horizon,
     plus `ridge` times the squared distance from `held`."""
@@ -179,9 +179,9 @@ def refined(
     return model(found.theta[0])
 
 
-def window_error(system: LinearSystem, encoder: Encoder, windows: HorizonWindows) -> float:
+def window_error(system: LinearSystem, encoder: Encoder, windows: SegmentBatch) -> float:
     """Mean squared error of simulations that begin with the encoder's states."""
-    y = system.simulate(encoder(windows.features), windows.u)[1]
+    y = system.simulate(encoder(windows.window), windows.u)[1]
     return mean_square(y - windows.y, windows.weight)
 
 
@@ -189,7 +189,7 @@ def _regressors(x: Array, u: Array) -> Array:
     return np.concatenate([x, u, np.ones((len(x), 1))], axis=1)
 
 
-def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
+def _normal_equations(model: WindowPredictor, windows: SegmentBatch) -> tuple[Array, Array]:
     """Compute J' J (P, P) and J' e (P,) without storing a Jacobian."""
     # The cost of each way is that of its largest products: by lags samples^2, by steps samples
     # ny^3.
@@ -198,7 +198,7 @@ def _normal_equations(model: WindowPredictor, windows: HorizonWindows) -> tuple[
     return normal_by_steps(model, windows)
 
 
-def normal_by_lags(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
+def normal_by_lags(model: WindowPredictor, windows: SegmentBatch) -> tuple[Array, Array]:
     """Normal equations as sums over lags.
 
     All windows share the responses H_r of the outputs to a change r samples before, so that J' J
@@ -207,7 +207,7 @@ def normal_by_lags(model: WindowPredictor, windows: HorizonWindows) -> tuple[Arr
     lags, ny = model.lags, model.lags.ny
     s, from_u, from_y = lags.shift()
     samples, size = windows.u.shape[1], model.theta.size
-    x, phi, errors = lags.state(windows.features), list[Array](), list[Array]()
+    x, phi, errors = lags.state(windows.window), list[Array](), list[Array]()
     change, responses = from_y.T, [np.eye(ny)]
     for k in range(samples):
         u = windows.u[:, k]
@@ -231,12 +231,12 @@ def normal_by_lags(model: WindowPredictor, windows: HorizonWindows) -> tuple[Arr
     return gram.transpose(2, 0, 3, 1).reshape(size, size), gradient.ravel()
 
 
-def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Array, Array]:
+def normal_by_steps(model: WindowPredictor, windows: SegmentBatch) -> tuple[Array, Array]:
     """Normal equations as sums over the sensitivities of one step after the other."""
     lags, ny = model.lags, model.lags.ny
     s, from_u, from_y = lags.shift()
     by_x = model.theta[: lags.order]
-    x = lags.state(windows.features)
+    x = lags.state(windows.window)
     size = model.theta.size
     sensitivity = np.zeros((len(windows.u), lags.order, size))
     gram, gradient = np.zeros((size, size)), np.zeros(size)
@@ -348,7 +348,7 @@ def _candidates(records: ScaledData, context: Context) -> list[WindowLags]:
 
 def _refined(
     start: WindowPredictor,
-    windows: HorizonWindows,
+    windows: SegmentBatch,
     ridge: float,
     iterations: int,
     refinement: Refinement,

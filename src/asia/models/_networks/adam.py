@@ -24,14 +24,13 @@ from asia.models._networks.objective import (
 from asia.models._networks.structure import NetworkStructure, Params, Penalised
 from asia.models._numerics.segments import (
     Places,
-    Simulations,
     gently,
     laid,
     places,
     random_chunks,
     whole,
 )
-from asia.models._numerics.training_records import PaddedBatch
+from asia.models._numerics.training_records import SegmentBatch
 from asia.models.methods import Adam
 
 
@@ -48,7 +47,7 @@ class AdamState(NamedTuple):
 def run(
     cell: NetworkStructure,
     params: Params,
-    batch: PaddedBatch,
+    batch: SegmentBatch,
     method: Adam,
     horizon: int | None,
     seed: int,
@@ -60,7 +59,7 @@ def run(
     not finite is skipped."""
     check_structure(cell, params, method)
     length = method.truncation or horizon
-    data: Simulations | Places
+    data: SegmentBatch | Places
     if length is None:
         data = whole(batch)
     elif method.full_batch:
@@ -113,7 +112,7 @@ def _advance(
     program: AdamProgram,
     packing: Packing,
     numbers: AdamNumbers,
-    data: Simulations | Places,
+    data: SegmentBatch | Places,
     fixed: Any,
     state: AdamState,
     span: tuple[jax.Array, jax.Array],

@@ -16,8 +16,8 @@ from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import NoiseWeighting, Number, objective
 from asia.models._networks.structure import NetworkStructure, Params, rollout
-from asia.models._numerics.segments import Simulations, laid, whole
-from asia.models._numerics.training_records import PaddedBatch
+from asia.models._numerics.segments import laid, whole
+from asia.models._numerics.training_records import SegmentBatch
 from asia.models.methods import LBFGS, Loss
 
 Vector: TypeAlias = np.ndarray[Any, Any]
@@ -26,7 +26,7 @@ Vector: TypeAlias = np.ndarray[Any, Any]
 def run(
     cell: NetworkStructure,
     params: Params,
-    batch: PaddedBatch,
+    batch: SegmentBatch,
     method: LBFGS,
     horizon: int | None,
     steps: int,
@@ -104,7 +104,7 @@ def _value(
     loss: Loss,
     packing: Packing,
     ridge: Number,
-    data: Simulations,
+    data: SegmentBatch,
     fixed: Any,
     whiten: NoiseWeighting | None,
     flat: jax.Array,

@@ -253,7 +253,7 @@ def with_output_layer(
     samples = batch(records, context)
     data = whole(samples) if context.horizon is None else laid(samples, context.horizon)
     traced = features_of(cell, params, data.window, data.u)
-    x, u, y, weight = (np.asarray(v, np.float64) for v in (traced, *data[1:]))
+    x, u, y, weight = (np.asarray(v, np.float64) for v in (traced, data.u, data.y, data.weight))
     rows = len(params["out_w"])
     if rows == x.shape[-1] + u.shape[-1]:
         x = np.concatenate([x, u], axis=-1)

@@ -22,7 +22,7 @@ from asia.models._networks.structure import (
     rollout,
 )
 from asia.models._noise.model import ResidualNoise, huber_root, innovation_filter, innovations
-from asia.models._numerics.segments import Simulations
+from asia.models._numerics.training_records import SegmentBatch
 from asia.models.methods import Adam, Loss
 
 # Training method split into the settings that select a compiled program, and numeric arguments.
@@ -187,7 +187,7 @@ def objective(
     return jnp.mean(jnp.cumsum(error)[ends] / jnp.maximum(jnp.cumsum(count)[ends], 1.0))
 
 
-def error_of(cell: NetworkStructure, loss: Loss, params: Any, data: Simulations) -> jax.Array:
+def error_of(cell: NetworkStructure, loss: Loss, params: Any, data: SegmentBatch) -> jax.Array:
     """Mean loss of the plain simulation."""
     return objective(loss, rollout(cell, params, data.window, data.u) - data.y, data.weight)
 
@@ -210,7 +210,7 @@ def forward(
     program: AdamProgram,
     numbers: AdamNumbers,
     params: Any,
-    data: Simulations,
+    data: SegmentBatch,
     *,
     step: jax.Array,
     key: jax.Array,

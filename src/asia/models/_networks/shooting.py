@@ -23,8 +23,8 @@ from asia.models._networks.objective import (
     started,
 )
 from asia.models._networks.structure import Cell, NetworkStructure, Params, SequenceMap
-from asia.models._numerics.segments import Simulations, laid
-from asia.models._numerics.training_records import PaddedBatch
+from asia.models._numerics.segments import laid
+from asia.models._numerics.training_records import SegmentBatch
 from asia.models.methods import MultipleShooting
 
 _MEMORY = 0.98
@@ -33,7 +33,7 @@ _MEMORY = 0.98
 class ShootingSegments(NamedTuple):
     """Segments of the records in time order, and a mask (B,) of those that open a record."""
 
-    data: Simulations
+    data: SegmentBatch
     first: AnyArray
 
 
@@ -59,7 +59,7 @@ class _ShootingState(NamedTuple):
 def run(
     cell: NetworkStructure,
     params: Params,
-    batch: PaddedBatch,
+    batch: SegmentBatch,
     method: MultipleShooting,
     steps: int,
     monitor: Monitor,

@@ -14,10 +14,10 @@ from asia.models._networks.monitor import Monitor, Scorer
 from asia.models._networks.objective import NoiseWeighting, error_of
 from asia.models._networks.structure import NetworkStructure, Params, rollout
 from asia.models._noise.model import LEAST_DEVIATION, NoiseChoice, estimate_noise
-from asia.models._numerics.segments import Simulations, laid, whole
+from asia.models._numerics.segments import laid, whole
 from asia.models._numerics.training_records import (
-    PaddedBatch,
     ScaledData,
+    SegmentBatch,
     batch,
     batch_weight,
     holdout_masks,
@@ -34,9 +34,9 @@ _rollout = jax.jit(rollout, static_argnums=0)
 class HoldoutSplit:
     """Training samples of a fit that holds some out."""
 
-    fitted: PaddedBatch  # Samples of the fit while the number of steps is searched
-    held_out: PaddedBatch  # Samples that decide the number of steps
-    full: PaddedBatch  # Samples of the final fit
+    fitted: SegmentBatch  # Samples of the fit while the number of steps is searched
+    held_out: SegmentBatch  # Samples that decide the number of steps
+    full: SegmentBatch  # Samples of the final fit
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class FitTask:
     """Network, training samples and settings of a fit."""
 
     structure: NetworkStructure  # Structure of the network
-    samples: HoldoutSplit | PaddedBatch  # Training samples
+    samples: HoldoutSplit | SegmentBatch  # Training samples
     horizon: int | None  # Horizon in samples; None for whole records
     seed: int  # Seed of the random draws of training
     log: Progress  # Receives the progress
@@ -74,7 +74,7 @@ def fit(
             return oracle(model_of(params))
 
         score = validation
-    samples: HoldoutSplit | PaddedBatch = batch(records, context)
+    samples: HoldoutSplit | SegmentBatch = batch(records, context)
     if score is None and method.holdout > 0:
         samples = _split(records, context, method.holdout, copies)
     with jax.enable_x64(False):
@@ -88,7 +88,7 @@ def train(task: FitTask, params: Params, method: NetworkMethod) -> Params:
     """Best parameters by the score, or those after the number of steps that did best on the
     held-out samples, or those after all steps."""
     patience = method.patience if method.stop is not None else None
-    if isinstance(task.samples, PaddedBatch):
+    if isinstance(task.samples, SegmentBatch):
         start = _start(task, task.samples, params, method)
         method = start.method
         monitor = Monitor(method, task.log, task.score, patience if task.score else None)
@@ -118,7 +118,7 @@ class _Start(NamedTuple):
     whiten: NoiseWeighting | None = None
 
 
-def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkMethod) -> _Start:
+def _start(task: FitTask, samples: SegmentBatch, params: Params, method: NetworkMethod) -> _Start:
     """Prepare a fit.
 
     With a noise model the parameters are those after the first half of the steps without it, and
@@ -138,12 +138,12 @@ def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkM
     return _Start(params, replace(method, steps=max(1, method.steps - half)), whiten)
 
 
-def _simulations(task: FitTask, samples: PaddedBatch) -> Simulations:
+def _simulations(task: FitTask, samples: SegmentBatch) -> SegmentBatch:
     return whole(samples) if task.horizon is None else laid(samples, task.horizon)
 
 
 def _run(
-    task: FitTask, samples: PaddedBatch, start: _Start, steps: int, monitor: Monitor
+    task: FitTask, samples: SegmentBatch, start: _Start, steps: int, monitor: Monitor
 ) -> Params:
     cell, horizon, method, params = task.structure, task.horizon, start.method, start.params
     if isinstance(method, LBFGS):
@@ -166,7 +166,7 @@ def _split(records: ScaledData, context: Context, fraction: float, copies: int) 
         )
     masks = holdout_masks(records, fraction, shortest=context.horizon or 0)
     fitted, held_out = (
-        replace(full, weight=batch_weight(reweighted(records, masks, keep), context))
+        full._replace(weight=batch_weight(reweighted(records, masks, keep), context))
         for keep in (False, True)
     )
     return HoldoutSplit(fitted, held_out, full)

@@ -1,7 +1,6 @@
 """Segments and chunks of records that training simulates."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -10,8 +9,8 @@ from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
 from asia.models._numerics.training_records import (
-    PaddedBatch,
     ScaledData,
+    SegmentBatch,
     contiguous_splits,
     flat_past,
     laid_end_to_end,
@@ -31,20 +30,7 @@ from asia.models._numerics.training_records import (
 # time of a loop grows with its length.
 _LONGEST = 4000
 _MOST_SAMPLES = 40_000
-
-
-@dataclass(frozen=True)
-class Stretches:
-    """Segments side by side, z-scored, padded with zeros where the weight is zero."""
-
-    past_u: Array  # Inputs before each (S, n_past_u, nu)
-    past_y: Array  # Outputs before each (S, n_past_y, ny)
-    u: Array  # (S, H, nu)
-    y: Array  # (S, H, ny)
-    weight: Array  # (S, H, ny)
-
-    def __len__(self) -> int:
-        return len(self.u)
+_SIGNALS = "u", "y", "counts"
 
 
 class ScaledSimulator(Protocol):
@@ -57,7 +43,7 @@ class ScaledSimulator(Protocol):
 
 def segments(
     records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
-) -> Stretches | None:
+) -> SegmentBatch | None:
     """Segments of the records after their past windows, about `samples` in total, evenly spread
     where there are more; None where every record is too short for one."""
     past = past_length(context)
@@ -69,16 +55,17 @@ def segments(
     most = max(1, samples // max(lengths))
     chosen = spread(len(places), most)
     cuts = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
-    return Stretches(
-        np.stack([r.undelayed_u[k - context.n_past_u : k] for r, k, _ in cuts]),
-        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts]),
-        side_by_side([r.u[k:end] for r, k, end in cuts]),
-        side_by_side([r.y[k:end] for r, k, end in cuts]),
-        side_by_side([r.counts[k:end] for r, k, end in cuts]),
+    past_u = np.stack([r.undelayed_u[k - context.n_past_u : k] for r, k, _ in cuts])
+    past_y = np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts])
+    return SegmentBatch(
+        flat_past(past_u, past_y),
+        *(side_by_side([getattr(r, name)[k:end] for r, k, end in cuts]) for name in _SIGNALS),
+        past_u=past_u,
+        past_y=past_y,
     )
 
 
-def simulation_error(simulate: ScaledSimulator, data: Stretches) -> float:
+def simulation_error(simulate: ScaledSimulator, data: SegmentBatch) -> float:
     """Weighted mean squared error over samples and channels, infinite where it diverges."""
     with np.errstate(all="ignore"):
         misfit = simulate(data.past_u, data.past_y, data.u) - data.y
@@ -134,22 +121,13 @@ def _firsts(length: int, past: int, horizon: int | None) -> list[int]:
 # B the number that run in parallel.
 
 
-class Simulations(NamedTuple):
-    """Simulations to compare with measurements."""
-
-    window: AnyArray  # Past window of each (B, d)
-    u: AnyArray  # (B, T, nu)
-    y: AnyArray  # Measured outputs (B, T, ny)
-    weight: AnyArray  # (B, T, ny), 0 where an output does not count
-
-
 class Places(NamedTuple):
     """Trajectories, and the permitted starts of chunks in them."""
 
     u: AnyArray  # (R, T, nu)
     y: AnyArray  # (R, T, ny)
     weight: AnyArray  # (R, T, ny)
-    past_u: AnyArray  # (R, n_past_u + T, nu), see `PaddedBatch`
+    past_u: AnyArray  # (R, n_past_u + T, nu), see `SegmentBatch`
     past_y: AnyArray  # (R, n_past_y + T, ny)
     ends: AnyArray  # Number of starts in each record and those before it (R,)
     moves: AnyArray  # (R,), 0 where all starts of a record are its first sample, else 1
@@ -164,13 +142,13 @@ class Places(NamedTuple):
         return record, (picked - before) * self.moves[record]
 
 
-def whole(batch: PaddedBatch) -> Simulations:
+def whole(batch: SegmentBatch) -> SegmentBatch:
     """Convert each record to one simulation."""
     arrays = (batch.window, batch.u, batch.y, batch.weight)
-    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
+    return SegmentBatch(*(np.asarray(a, np.float32) for a in arrays))
 
 
-def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
+def laid(batch: SegmentBatch, length: int, overlap: bool = True) -> SegmentBatch:
     """Cut chunks of `length` samples end to end, in time order within each record.
 
     The last chunk of a record ends with it, overlapping its neighbour, or without `overlap` is
@@ -184,10 +162,10 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
     at = record[:, None], np.minimum(samples, batch.u.shape[1] - 1)
     weight = batch.weight[at] * inside[..., None]
     arrays = batch.windows_at(record, begin), batch.u[at], batch.y[at], weight
-    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
+    return SegmentBatch(*(np.asarray(a, np.float32) for a in arrays))
 
 
-def places(batch: PaddedBatch, length: int) -> Places:
+def places(batch: SegmentBatch, length: int) -> Places:
     """Permit every start from which a whole chunk fits.
 
     A shorter record starts at its first sample, as often as it has samples, so that it is drawn as
@@ -215,7 +193,7 @@ def gently(p: Places, length: int, power: float) -> Places:
     return p._replace(share=np.asarray(np.cumsum(drawn / drawn.sum()), np.float32))
 
 
-def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
+def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> SegmentBatch:
     """Draw `count` chunks of `length` samples with JAX; None: as many as cover the records once,
     but at most 128."""
     import jax
@@ -242,4 +220,4 @@ def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> S
 
     total = p.u.shape[1]
     past = (cut(values, values.shape[1] - total) for values in (p.past_u, p.past_y))
-    return Simulations(flat_past(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))
+    return SegmentBatch(flat_past(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))

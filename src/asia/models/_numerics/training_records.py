@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -271,18 +271,19 @@ def contiguous_splits(
     ]
 
 
-@dataclass(frozen=True)
-class PaddedBatch:
-    """Trajectories padded to one length, in single precision, as networks are trained."""
+class SegmentBatch(NamedTuple):
+    """Segments side by side, z-scored: windows, chunks, or records padded to one length. JAX reads
+    it as a tree of its arrays."""
 
-    window: AnyArray  # Past window of each (R, d)
-    u: AnyArray  # (R, T, nu)
-    y: AnyArray  # (R, T, ny)
-    weight: AnyArray  # (R, T, ny), zero in the padding
-    lengths: tuple[int, ...]  # Samples of each, without the padding
-    past_u: AnyArray
-    """Inputs as past windows show them (R, n_past_u + T, nu): sample k's window begins at k."""
-    past_y: AnyArray  # Outputs likewise (R, n_past_y + T, ny)
+    window: AnyArray  # Past window of each, flattened (B, d)
+    u: AnyArray  # Inputs after it (B, T, nu)
+    y: AnyArray  # Outputs after it (B, T, ny)
+    weight: AnyArray  # (B, T, ny), 0 where an output was not measured or does not count
+    lengths: AnyArray = ()  # Samples of each record without the padding (B,); () of segments
+    past_u: AnyArray = None
+    """Inputs before each (B, n_past_u, nu), where these are kept apart. Of records with those after
+    them (B, n_past_u + T, nu), as past windows show them: sample k's window begins at k."""
+    past_y: AnyArray = None  # Outputs likewise (B, n_past_y, ny) or (B, n_past_y + T, ny)
 
     def windows_at(self, record: Indices, sample: Indices) -> AnyArray:
         """Past windows (N, d) before samples (N,) of records (N,)."""
@@ -294,15 +295,16 @@ class PaddedBatch:
         return flat_past(*each)
 
 
-def batch(records: ScaledData, context: Context) -> PaddedBatch:
-    """Pad the simulated part of each record to the longest."""
+def batch(records: ScaledData, context: Context) -> SegmentBatch:
+    """Pad the simulated part of each record to the longest, in single precision, as networks are
+    trained."""
     skip = past_length(context)
     first = np.array([skip])
     past_u, past_y = (
         _single([getattr(r, name)[skip - past :] for r in records])
         for name, past in (("undelayed_u", context.n_past_u), ("y", context.n_past_y))
     )
-    return PaddedBatch(
+    return SegmentBatch(
         window=np.concatenate(
             [past_windows_before(r, first, context) for r in records], dtype=_SINGLE
         ),
@@ -351,16 +353,7 @@ def delayed_inputs(
 _MOST_SEGMENTS = 4
 
 
-class HorizonWindows(NamedTuple):
-    """Windows side by side, z-scored; JAX reads it as a tree of its arrays."""
-
-    features: Any  # Past windows, flattened (W, d)
-    u: Any  # Inputs after them (W, H, nu)
-    y: Any  # Outputs after them (W, H, ny)
-    weight: Any  # (W, H, ny), 0 where an output was not measured
-
-
-def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
+def cut_windows(records: ScaledData, context: Context, most: int) -> SegmentBatch:
     """Cut at most about `most` windows of `context.horizon` samples (of the longest record, where
     all are shorter), evenly spread over the records and of every record the same share."""
     past = past_length(context)
@@ -375,10 +368,10 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
         simulated = rows(past + starts, horizon)
         signals = (values[simulated] for values in (r.u, r.y, r.counts))
         parts.append((past_windows(r, context)[starts], *signals))
-    return HorizonWindows(*map(np.concatenate, zip(*parts, strict=True)))
+    return SegmentBatch(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
+def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> SegmentBatch:
     """Cut at most about `most` windows of `horizon` samples that lie end to end in each record,
     none cut by its end, spread over all records."""
     past = past_length(context)
@@ -387,7 +380,7 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
     places = [(i, k * horizon) for i, count in enumerate(counts) for k in range(count)][::stride]
     features = [past_windows(r, context) for r in records]
     segments = [records[i].part(past + k, horizon) for i, k in places]
-    return HorizonWindows(
+    return SegmentBatch(
         np.stack([features[i][k] for i, k in places]),
         np.stack([segment.u for segment in segments]),
         np.stack([segment.y for segment in segments]),

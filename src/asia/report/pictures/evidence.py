@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
+from asia.data.segment import SimulatedSegment
 from asia.data.trajectory import Array, Signal
 from asia.judge.scoring.checks.check import Check, CheckCurve, Verdict
 from asia.judge.scoring.residuals import Correlation, with_input, with_own_past
@@ -15,7 +16,6 @@ from asia.ledger.events import Ablated
 from asia.ledger.evidence import DrawnCheck
 from asia.ledger.run import Run
 from asia.ledger.simulated import (
-    SimulatedCase,
     SimulatedCases,
     fold_outputs,
     lowest,
@@ -268,7 +268,7 @@ def draw_tried(tried: SimulatedCases) -> Figure:
     keys = list(parts)[:MOST_PANELS]
     panels = [_panel(tried, parts[key], key, output) for output in outputs for key in keys]
     title = tried.title
-    if not any(case.held_out for case in tried.cases):
+    if not any(out for _, out, _ in tried.cases):
         title += ": training part (the held-out part is not shown)"
     title += shown(
         (len(outputs), len(tried.outputs), "outputs, the largest residuals"),
@@ -285,15 +285,15 @@ def draw_tried_residuals(tried: SimulatedCases) -> Figure:
     """
     outputs = _worst(tried, _MOST_ROWS)
     inputs = tried.inputs[:_TRIED_MOST_INPUTS]
-    held_out = any(case.held_out for case in tried.cases)
+    held_out = any(out for _, out, _ in tried.cases)
     size = 1.33 * picture_width(), 0.8 + 2.1 * len(outputs)
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(outputs), 2 + len(inputs), squeeze=False)
-    arrays = [case.arrays() for case in tried.cases if case.held_out == held_out]
-    u = [[given[:, i] for given, _, _ in arrays] for i in range(len(inputs))]
+    cases = [case for _, out, case in tried.cases if out == held_out]
+    u = [[case.u[:, i] for case in cases] for i in range(len(inputs))]
     for row, output in zip(grid, outputs, strict=True):
         _draw_residual(row[0], tried, output, held_out=held_out)
-        e = [y[:, output] - y_hat[:, output] for _, y, y_hat in arrays]
+        e = [case.y[:, output] - case.y_hat[:, output] for case in cases]
         draw_correlations(list(row[1:]), e, u, inputs, last=output == outputs[-1])
     figure.align_ylabels(list(grid[:, 0]))
     part = "held-out part" if held_out else "training part"
@@ -302,41 +302,39 @@ def draw_tried_residuals(tried: SimulatedCases) -> Figure:
     return figure
 
 
-def _parts(tried: SimulatedCases) -> dict[tuple[int, bool], list[SimulatedCase]]:
+def _parts(tried: SimulatedCases) -> dict[tuple[int, bool], list[SimulatedSegment]]:
     """The cases of each fold, training and held-out ones apart."""
-    found: dict[tuple[int, bool], list[SimulatedCase]] = {}
-    for case in tried.cases:
-        found.setdefault((case.fold, case.held_out), []).append(case)
+    found: dict[tuple[int, bool], list[SimulatedSegment]] = {}
+    for fold, held_out, case in tried.cases:
+        found.setdefault((fold, held_out), []).append(case)
     return found
 
 
 def _worst(tried: SimulatedCases, count: int) -> list[int]:
     """The outputs with the largest residual over their spread, in their own order."""
-    arrays = [case.arrays() for case in tried.cases]
-    y = np.concatenate([measured for _, measured, _ in arrays])
-    e = np.concatenate([measured - simulated for _, measured, simulated in arrays])
+    y = np.concatenate([case.y for _, _, case in tried.cases])
+    e = np.concatenate([case.y - case.y_hat for _, _, case in tried.cases])
     spread = np.maximum(y.std(axis=0), 1e-300)
     order = np.argsort(-np.sqrt((e**2).mean(axis=0)) / spread, kind="stable")
     return sorted(int(k) for k in order[:count])
 
 
 def _panel(
-    tried: SimulatedCases, cases: Sequence[SimulatedCase], key: tuple[int, bool], output: int
+    tried: SimulatedCases, cases: Sequence[SimulatedSegment], key: tuple[int, bool], output: int
 ) -> Panel:
     fold, held_out = key
     signal = tried.outputs[output]
-    arrays = [case.arrays() for case in cases]
-    e = np.concatenate([y[:, output] - y_hat[:, output] for _, y, y_hat in arrays])
-    chosen = [(case.record, k) for k, case in enumerate(cases)][:_MOST_SEGMENTS]
+    e = np.concatenate([case.y[:, output] - case.y_hat[:, output] for case in cases])
+    chosen = [(case.name, k) for k, case in enumerate(cases)][:_MOST_SEGMENTS]
     if tried.windows:
-        scale = np.maximum(np.concatenate([y for _, y, _ in arrays]).std(axis=0), 1e-300)
+        scale = np.maximum(np.concatenate([case.y for case in cases]).std(axis=0), 1e-300)
         found = representative_windows(
-            [y for _, y, _ in arrays], [y_hat for _, _, y_hat in arrays], scale
+            [case.y for case in cases], [case.y_hat for case in cases], scale
         )
         step = tried.sampling_time
         chosen = [(f"{word}: {cases[k].start * step:.3g} s", k) for word, k in found]
     segments = [
-        Segment(name, cases[k].start, arrays[k][1][:, output], arrays[k][2][:, output])
+        Segment(name, cases[k].start, cases[k].y[:, output], cases[k].y_hat[:, output])
         for name, k in chosen
     ]
     name = f", {plain(signal.name, 24)}" if len(tried.outputs) > 1 else ""
@@ -360,9 +358,8 @@ def _draw_residual(axes: Axes, tried: SimulatedCases, output: int, *, held_out: 
         if key[1] != held_out:
             continue
         colour = colours[place % len(colours)]
-        arrays = [case.arrays() for case in cases]
-        x = np.concatenate([y_hat[:, output] for _, _, y_hat in arrays])
-        e = np.concatenate([y[:, output] for _, y, _ in arrays]) - x
+        x = np.concatenate([case.y_hat[:, output] for case in cases])
+        e = np.concatenate([case.y[:, output] for case in cases]) - x
         every = max(1, len(x) // _MOST_DOTS)
         axes.plot(x[::every], e[::every], ".", color=colour, ms=1.2, alpha=0.25, rasterized=True)
         low, high = float(np.quantile(x, 0.01)), float(np.quantile(x, 0.99))

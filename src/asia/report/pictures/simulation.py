@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from asia.data.trajectory import Array, Signal, spread_of
 from asia.judge.scoring.euclidean_error import mee_table
-from asia.judge.scoring.outcome import FoldScore, fit_index
+from asia.judge.scoring.outcome import FoldRecord, fit_index
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.simulated import (
@@ -361,7 +361,7 @@ def _experiment(experiment: Experiment) -> str:
     return f"Experiment {experiment.number}, {plain(experiment.proposed.title, 40)}"
 
 
-def _fold_title(problem: Problem, fold: int, channel: int, score: FoldScore) -> tuple[str, str]:
+def _fold_title(problem: Problem, fold: int, channel: int, score: FoldRecord) -> tuple[str, str]:
     signal, metric = problem.outputs[channel], find_metric(problem.protocol.metric)
     output = f", {plain(signal.name, 24)}" if len(problem.outputs) > 1 else ""
     error = quantity(score.per_channel(metric.name)[channel], metric.unit_of(signal.unit))
@@ -373,7 +373,7 @@ def _fold_title(problem: Problem, fold: int, channel: int, score: FoldScore) -> 
 def _fold_panel(
     problem: Problem,
     fold: Fold,
-    score: FoldScore,
+    score: FoldRecord,
     outputs: Sequence[Sequence[Array]],
     channel: int,
 ) -> Panel:

@@ -13,7 +13,7 @@ from asia.errors import CandidateError, Reason, UserError
 from asia.interfaces.workspace.tools import WorkspaceTools, main, variants
 from asia.interfaces.workspace.workspace import scored_locally, write_folder
 from asia.judge.sandbox.layers.environment import REPEATABLE
-from asia.judge.scoring.outcome import combine
+from asia.judge.scoring.outcome import FoldRecord, combine
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
@@ -69,9 +69,13 @@ def test_the_score_is_the_evaluators(tmp_path: Path) -> None:
     best = run.view.best
     assert best is not None
     assert best.score is not None
-    assert tuple(one.score for one in found) == best.score.folds
+
+    def score(record: FoldRecord) -> tuple[object, ...]:
+        return record.value, record.rmse, record.mae, record.fit_index, record.r2, record.other
+
+    assert [score(record) for record, _ in found] == [score(one) for one in best.score.folds]
     other = WorkspaceTools(tmp_path / "work", seed=8).evaluate("candidate.py")
-    assert other[0].score != best.score.folds[0]
+    assert other[0][0].value != best.score.folds[0].value
 
 
 @pytest.fixture
@@ -101,8 +105,8 @@ def test_folds_of_your_own(tools: WorkspaceTools) -> None:
         tools.hold_out(["a b"])
     with pytest.raises(UserError, match="leave one or more to train on"):
         tools.hold_out(["a_b", "train"])
-    (found,) = tools.evaluate("candidate.py", [fold])
-    assert np.isfinite(found.score.value)
+    ((record, _),) = tools.evaluate("candidate.py", [fold])
+    assert np.isfinite(record.value)
 
 
 @pytest.mark.slow
@@ -197,8 +201,8 @@ def test_the_early_stopping_score_is_given(tmp_path: Path) -> None:
     )
     write_folder(tmp_path / "work", load_problem(tmp_path / "toy"), 3)
     (tmp_path / "work" / "candidate.py").write_text(asks)
-    for one in WorkspaceTools(tmp_path / "work", seed=0).evaluate():
-        assert one.model.asked == pytest.approx(one.score.value, rel=1e-3)  # type: ignore[attr-defined]
+    for record, fit in WorkspaceTools(tmp_path / "work", seed=0).evaluate():
+        assert fit.model.asked == pytest.approx(record.value, rel=1e-3)  # type: ignore[attr-defined]
 
 
 def test_variants_are_all_combinations_of_the_values() -> None:
@@ -263,7 +267,7 @@ def fit(trajectories, context):
     said = capsys.readouterr().out.splitlines()
     rows = [line for line in said if line.startswith("V ")]
     assert (end.value.code, len(rows)) == (0, 2)
-    value = combine([one.score for one in tools.evaluate()]).value
+    value = combine([record for record, _ in tools.evaluate()]).value
     assert rows[1].startswith(f"V {value:.6f} na=2 (folds ")
     assert "; training " in rows[1]
     assert "optimistic" in said[-1]

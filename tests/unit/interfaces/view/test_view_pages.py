@@ -284,7 +284,7 @@ def test_the_text_search_reads_sources_and_output(client: TestClient, runs: Path
     failure = Failure(Reason.CRASH, "", 1)
     with Chain(runs / "made" / "ledger.jsonl") as chain:
         chain.append(Proposed(5, None, "refine", "arx", "plain", "why", "lower", source, "5"))
-        chain.append(Evaluated(5, "crash", failure, (), output, 1.0))
+        chain.append(Evaluated(5, "crash", failure, output, 1.0))
     advice = Reason.CRASH.advice
     for words, place in (
         ("ORDER 47", "source: <mark>order</mark> = 47"),

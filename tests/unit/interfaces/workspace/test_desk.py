@@ -130,7 +130,7 @@ def test_a_result_that_hung_on_the_machine_can_be_asked_for_again(place: Place) 
     source = arx(3)
     place.append(
         Proposed(3, None, "explore", "custom", "slow", "h", "e", "0" * 64, digest(source), "t"),
-        Evaluated(3, "timeout", Failure(Reason.FIT_TIMEOUT), (), None, 1.0, deadline=True),
+        Evaluated(3, "timeout", Failure(Reason.FIT_TIMEOUT), None, 1.0, deadline=True),
     )
     assert place.desk.submit(candidate(3)).state == "queued"
 

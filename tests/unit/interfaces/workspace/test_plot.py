@@ -40,9 +40,9 @@ def test_training_samples_alone_are_simulated(run: Path) -> None:
     shown = RunDesk(run).simulated(2)
     problem = load_problem(run.parents[1] / "toy", GUARD_SHARE)
     folds = make_folds(problem.train, problem.protocol)
-    assert [(case.fold, case.held_out) for case in shown.cases] == [(1, False), (2, False)]
-    for case, fold in zip(shown.cases, folds, strict=True):
-        _, y, y_hat = case.arrays()
+    assert [(fold, held_out) for fold, held_out, _ in shown.cases] == [(1, False), (2, False)]
+    for (_, _, case), fold in zip(shown.cases, folds, strict=True):
+        y, y_hat = case.y, case.y_hat
         assert np.array_equal(y, fold.train[0].y[3:])
         assert np.sqrt(np.mean((y - y_hat) ** 2)) < 0.05
         record = problem.train[0].y
@@ -53,15 +53,14 @@ def test_training_samples_alone_are_simulated(run: Path) -> None:
 def test_held_out_samples_are_shown_where_the_problem_says_so(tmp_path: Path) -> None:
     directory = searched(tmp_path, '[protocol]\nresiduals = "held_out"\n')
     shown = RunDesk(directory).simulated(2)
-    assert [(case.fold, case.held_out) for case in shown.cases] == [
+    assert [(fold, held_out) for fold, held_out, _ in shown.cases] == [
         (1, False), (1, True), (2, False), (2, True),
     ]  # fmt: skip
     view = open_run(directory).view
     score = view.experiment(2).score
     assert score is not None
-    for case, fold in zip(shown.cases[1::2], score.folds, strict=True):
-        _, y, y_hat = case.arrays()
-        assert np.sqrt(np.mean((y - y_hat) ** 2)) == pytest.approx(fold.rmse[0])
+    for (_, _, case), fold in zip(shown.cases[1::2], score.folds, strict=True):
+        assert np.sqrt(np.mean((case.y - case.y_hat) ** 2)) == pytest.approx(fold.rmse[0])
 
 
 @pytest.mark.slow
@@ -75,7 +74,10 @@ def test_pictures_lie_in_the_folder(run: Path, tmp_path: Path) -> None:
     with DeskServer(tmp_path / "s", RunDesk(run)):
         shown = SocketDesk(tmp_path / "s").simulated(2)
     assert isinstance(shown, SimulatedCases)
-    assert shown == RunDesk(run).simulated(2)
+    for sent, made in zip(shown.cases, RunDesk(run).simulated(2).cases, strict=True):
+        assert sent[:2] == made[:2]
+        assert sent[2].start == made[2].start
+        assert np.array_equal(sent[2].y_hat, made[2].y_hat)
     (tmp_path / "work").mkdir()
     names = Workspace(tmp_path / "work", None).draw(2, shown)
     assert names == ("plots/002.png", "plots/002-residuals.png")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
 from asia.ledger.view import replay
@@ -40,16 +40,15 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 def test_errors_of_the_outputs_average_to_the_score(evaluation: Evaluation) -> None:
     assert isinstance(evaluation.outcome, Score)
-    each = zip(evaluation.folds, evaluation.outcome.folds, evaluation.findings, strict=True)
-    for fold, score, findings in each:
-        assert np.mean(findings.errors) == pytest.approx(score.value, rel=1e-12)
+    for fold in evaluation.folds:
+        assert np.mean(fold.errors) == pytest.approx(fold.value, rel=1e-12)
         train = fold.diagnostics.train_error
-        assert np.mean(findings.train_errors) == pytest.approx(train, rel=1e-12)
-        assert findings.steps == ()
+        assert np.mean(fold.train_errors) == pytest.approx(train, rel=1e-12)
+        assert fold.steps == ()
 
 
 def test_each_fold_names_its_parameters_and_its_residuals(evaluation: Evaluation) -> None:
-    for findings in evaluation.findings:
+    for findings in evaluation.folds:
         ((name, value),) = findings.parameters
         assert name == "first"
         assert value == pytest.approx(1.2, abs=0.1)
@@ -61,14 +60,14 @@ def test_each_fold_names_its_parameters_and_its_residuals(evaluation: Evaluation
 
 
 def test_a_fit_is_heard_and_a_simulation_of_held_out_cases_is_not(evaluation: Evaluation) -> None:
-    assert [findings.printed for findings in evaluation.findings] == ["loss 0.5\n"] * 2
+    assert [findings.printed for findings in evaluation.folds] == ["loss 0.5\n"] * 2
 
 
 def test_held_out_residuals_are_found_only_where_the_problem_shows_them(
     evaluation: Evaluation, tmp_path: Path
 ) -> None:
     shown = evaluated(tmp_path, NAMED, "held_out")
-    for hidden, findings in zip(evaluation.findings, shown.findings, strict=True):
+    for hidden, findings in zip(evaluation.folds, shown.folds, strict=True):
         assert hidden.held_out_residuals == ()
         assert findings.held_out_residuals != ()
         assert findings.held_out_residuals != findings.residuals

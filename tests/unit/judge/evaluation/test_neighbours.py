@@ -10,10 +10,9 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.data.segment import Segment
 from asia.errors import Reason
-from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.requests import sessions, side_by_side
-from asia.judge.evaluation.results import Evaluation
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation

@@ -12,8 +12,7 @@ from asia.candidate import VALIDATION_SCORES, Context
 from asia.data import Signal, Trajectory
 from asia.errors import Reason
 from asia.judge.evaluation import workers as workers_module
-from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.results import Evaluation, RefitModel
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator, RefitModel
 from asia.judge.evaluation.validation_score import rounded_score
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import probe

@@ -142,7 +142,7 @@ def test_the_linear_reference_names_settings_that_are_better_than_the_baseline()
     judge = Evaluator(data, runner)
     own = judge.evaluate(LINEAR)
     assert isinstance(own.outcome, Score)
-    orders = {round(dict(one.parameters)["order [states]"]) for one in own.findings}
+    orders = {round(dict(one.parameters)["order [states]"]) for one in own.folds}
     assert orders == {2, 4}
     found = best_linear(judge)
     assert isinstance(found.outcome, Score)

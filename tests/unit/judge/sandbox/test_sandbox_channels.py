@@ -190,7 +190,7 @@ def test_libraries_that_share_memory_get_an_error_and_live(case, level):
         "    def simulate(self, past_u, past_y, u):\n        return np.repeat(u, 2, 2)\n"
     )
     with open_worker(level, LIMITS) as worker:
-        said = worker.fit(source, case.trajectories, case.context).output.split()
+        said = worker.fit(source, case.trajectories, case.context)[1].split()
         assert worker.simulate(case.past_u, case.past_y, case.u).shape == (3, 40, 2)
     assert len(said) == 3
     assert "shared" not in said

@@ -144,7 +144,7 @@ def ends(case, level: Isolation, *without: Layer) -> dict[str, str | int]:
     }
     source = "\n".join(f"{name} = {value!r}" for name, value in given.items()) + TRY_ALL
     with open_worker(level, Limits(30.0, 30.0, 2048), without=without) as worker:
-        return json.loads(worker.fit(source, case.trajectories, case.context).output)
+        return json.loads(worker.fit(source, case.trajectories, case.context)[1])
 
 
 @pytest.mark.parametrize("level", WALLED)

@@ -81,7 +81,7 @@ def test_candidates_import_packages_of_parts(project, worker, case):
     with worker() as one:
         reply = one.fit(SOURCE, case.trajectories, case.context)
         y = one.simulate(case.past_u, case.past_y, case.u)
-    assert reply.output == "offset\n"
+    assert reply[1] == "offset\n"
     assert (y == 2.0 * case.u).all()
 
 
@@ -92,7 +92,7 @@ def test_neighbouring_files_are_invisible(project, level, worker, case):
     places += [project / "odd_neighbour.py", project / "odd-1.0.dist-info" / "METADATA"]
     source = BESIDE.replace("PLACES", repr([str(place) for place in places]))
     with worker() as one:
-        assert one.fit(source, case.trajectories, case.context).output == ""
+        assert one.fit(source, case.trajectories, case.context)[1] == ""
 
 
 def test_a_worker_cannot_change_them(project, level, worker, case):

@@ -101,7 +101,7 @@ def ahead(level: Isolation, opened: list[Worker]) -> Iterator[StandbyWorkers]:
 
 
 def fitted(worker: Worker, case: Case, source: str = GAIN) -> list[str]:
-    return worker.fit(source, case.trajectories, case.context).output.split()
+    return worker.fit(source, case.trajectories, case.context)[1].split()
 
 
 @one_level
@@ -162,7 +162,7 @@ def test_standby_workers_have_all_sandbox_layers(
     one = ahead.take(FFT)
     assert one is not None
     with one:
-        said = one.fit(TRIES + GAIN, case.trajectories, case.context).output
+        said = one.fit(TRIES + GAIN, case.trajectories, case.context)[1]
     assert "worked" not in said
     assert said.count("failed") == 5
 

@@ -64,7 +64,7 @@ def test_models_go_out_as_bytes_and_one_number_comes_back(worker, case):
     with worker() as one:
         reply = one.fit(asking(body), case.trajectories, case.context, answers)
         final = one.dump()
-    np.testing.assert_allclose(reply.curve, [[0, 0.1], [1, 0.2], [2, 0.1 * 3]])
+    np.testing.assert_allclose(reply[0], [[0, 0.1], [1, 0.2], [2, 0.1 * 3]])
     assert len(answers.models) == 3
     assert answers.models[1] == final
 
@@ -72,7 +72,7 @@ def test_models_go_out_as_bytes_and_one_number_comes_back(worker, case):
 def test_without_a_scorer_there_is_nothing_to_ask(worker, case):
     with worker() as one:
         reply = one.fit(asking("print(ask)"), case.trajectories, case.context)
-    assert reply.output == "None\n"
+    assert reply[1] == "None\n"
 
 
 def test_models_load_one_after_another_and_the_source_runs_once(worker, case):
@@ -101,7 +101,7 @@ def test_a_refusal_is_a_runtime_error_that_can_be_caught(worker, case):
     with worker() as one:
         reply = one.fit(asking(body), case.trajectories, case.context, Answers(most=2))
         assert one.simulate(case.past_u, case.past_y, case.u).shape == (3, 40, 2)
-    assert reply.output == "no more than that\n"
+    assert reply[1] == "no more than that\n"
 
 
 def test_an_uncaught_refusal_fails_the_fit_with_its_message(worker, case):
@@ -198,7 +198,7 @@ def test_scores_may_be_asked_for_in_threads(worker, case):
     )
     with worker() as one:
         reply = one.fit(asking(body), case.trajectories, case.context, Answers())
-    assert reply.output == "8\n"
+    assert reply[1] == "8\n"
 
 
 def test_a_scorer_that_breaks_leaves_nothing_behind(worker, case):
@@ -232,4 +232,4 @@ context.log(3, float("nan"))"""
             on_loss=lambda step, loss: shown.append((step, loss)),
         )
     assert shown == [(0.0, 1.0), (1.0, 0.5), (2.0, 1.0 / 3.0)]
-    np.testing.assert_array_equal(reply.curve, [[0, 1], [1, 0.5], [2, 1 / 3], [3, np.nan]])
+    np.testing.assert_array_equal(reply[0], [[0, 1], [1, 0.5], [2, 1 / 3], [3, np.nan]])

@@ -69,7 +69,7 @@ def test_the_candidate_gets_the_whole_context_and_read_only_records(worker, case
     )
     with worker() as one:
         reply = one.fit(source, case.trajectories, context)
-    assert reply.output.splitlines()[0] == "u [V] 2 40 mae 1.0 7 3 True second False"
+    assert reply[1].splitlines()[0] == "u [V] 2 40 mae 1.0 7 3 True second False"
 
 
 @one_level
@@ -82,14 +82,14 @@ def test_a_refit_may_start_from_the_models_of_the_folds(worker, case):
         with worker() as one:
             reply = one.fit(source, case.trajectories, case.context, fold_models=models)
             models = [one.dump()]
-        assert reply.output.splitlines()[0] == expected
+        assert reply[1].splitlines()[0] == expected
 
 
 @one_level
 def test_long_curve_is_thinned_evenly(worker, case):
     source = GAIN.replace("range(10)", "range(9001)")
     with worker() as one:
-        curve = one.fit(source, case.trajectories, case.context).curve
+        curve = one.fit(source, case.trajectories, case.context)[0]
     assert 1000 <= len(curve) <= 2000
     assert curve[0, 0] == 0
     assert set(np.diff(curve[:, 0])) == {8.0}
@@ -100,7 +100,7 @@ def test_many_lines_of_the_sandbox_are_no_output_of_a_candidate(worker, case):
     lines = "import os;os.write(2, b'[mutex.cc : 1] RAW: Lock blocking 0x0\\n' * 4000)"
     source = GAIN.replace("print(", f"{lines};_ = (")
     with worker() as one:
-        assert one.fit(source, case.trajectories, case.context).output == ""
+        assert one.fit(source, case.trajectories, case.context)[1] == ""
 
 
 @one_level
@@ -110,7 +110,7 @@ def test_output_is_kept_up_to_the_end_of_fit_and_cleaned(worker, case):
         "        print('late');import os;os.write(2, b'x' * 200_000)\n        return u",
     )
     with worker() as one:
-        output = one.fit(source, case.trajectories, case.context).output
+        output = one.fit(source, case.trajectories, case.context)[1]
         y = one.simulate(case.past_u, case.past_y, case.u)
     assert output.startswith("[31mred x")
     assert len(output) < 64 * 1024 + 50
@@ -127,7 +127,7 @@ def test_environment_is_fixed(worker, case, monkeypatch):
     seen = set()
     for _ in range(2):
         with worker() as one:
-            seen.add(one.fit(source, case.trajectories, case.context).output)
+            seen.add(one.fit(source, case.trajectories, case.context)[1])
     assert len(seen) == 1  # string hashes too: a set has the same order in every worker
     assert "SECRET_KEY" not in seen.pop()
 
@@ -143,7 +143,7 @@ def test_worker_imports_nothing_heavy(worker, case):
         "    print(",
     )
     with worker() as one:
-        output = one.fit(source, case.trajectories, case.context).output
+        output = one.fit(source, case.trajectories, case.context)[1]
     assert output.splitlines()[0] == "[]"
 
 
@@ -374,7 +374,7 @@ def test_long_records_are_read_only_and_long_cases_are_the_candidates_own(worker
         reply = one.fit(source, (Trajectory(u, y, 0.1, "long"),), case.context)
         past_u, past_y, u_now = case.past_u[:1], case.past_y[:1], u[None]
         y_hat = one.simulate(past_u, past_y, u_now)
-    assert reply.output.splitlines()[0] == f"False {u.sum()}"
+    assert reply[1].splitlines()[0] == f"False {u.sum()}"
     gain = np.linalg.lstsq(u, y, rcond=None)[0]
     np.testing.assert_allclose(y_hat, (u_now + 1.0) @ gain + past_y[:, -1:], rtol=1e-12)
     assert np.array_equal(u_now[0], u)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.errors import CandidateError, InternalError, Reason
-from asia.judge.scoring.outcome import FoldScore, Score, combine, fit_index, score_fold, score_test
+from asia.judge.scoring.outcome import FoldRecord, Score, combine, fit_index, score_fold, score_test
 from asia.judge.scoring.residuals import diagnose
 
 
@@ -59,9 +59,9 @@ def test_a_short_reply_is_a_failure() -> None:
 
 def test_a_score_that_is_not_finite_cannot_exist() -> None:
     with pytest.raises(InternalError):
-        FoldScore(math.nan, (), (), (), ())
+        FoldRecord(math.nan, (), (), (), ())
     with pytest.raises(InternalError):
-        FoldScore(1.0, (1.0,), (1.0,), (-math.inf,), (0.5,))
+        FoldRecord(1.0, (1.0,), (1.0,), (-math.inf,), (0.5,))
     with pytest.raises(InternalError):
         Score(math.inf, ())
 

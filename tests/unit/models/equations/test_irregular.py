@@ -9,7 +9,7 @@ import pytest
 from asia.agents.library.registry import families
 from asia.candidate import simulate_steps
 from asia.errors import UserError
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.models import greybox, linear
 from asia.models.methods import LevenbergMarquardt
 from asia.problem.check import check_problem

@@ -15,7 +15,7 @@ from asia.data.frequency import ComplexArray, FrequencyRecord
 from asia.data.intake.frequency import read_frequency_response, write_response
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.lowering.linear import LinearModel
 from asia.models import linear
 from asia.models.frequency_response import (

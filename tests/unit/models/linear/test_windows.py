@@ -21,7 +21,7 @@ from asia.models._linear.window_predictor import (
     refined,
 )
 from asia.models._numerics.scaling import Scaling
-from asia.models._numerics.training_records import HorizonWindows, cut_windows, scaled, stretches
+from asia.models._numerics.training_records import SegmentBatch, cut_windows, scaled, stretches
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam
 
@@ -102,7 +102,7 @@ def test_neural_state_space_starts_as_the_windowed_linear_model(runs, context):
     line = one_step(windows, lags, 1e-6)
     structure = StateSpaceStructure(lags.order, 1, 2, "state", "tanh", 3, 3, None, lags)
     params = structure.start_windowed(line, np.random.default_rng(0))
-    _, y = structure.simulate(params, lags.state(windows.features), windows.u)
+    _, y = structure.simulate(params, lags.state(windows.window), windows.u)
     np.testing.assert_allclose(y, line.simulate(windows), atol=1e-12)
 
 
@@ -112,7 +112,7 @@ def test_state_space_form_is_the_predictor(runs, context):
     windows = cut_windows(records, context, 40)
     model = one_step(windows, WindowLags(2, 3, 1, 2, 1, 2), 1e-6)
     system, encoder = model.system()
-    _, y = system.simulate(encoder(windows.features), windows.u)
+    _, y = system.simulate(encoder(windows.window), windows.u)
     np.testing.assert_allclose(y, model.simulate(windows), atol=1e-9)
 
 
@@ -136,7 +136,7 @@ def test_normal_equations_are_the_same_by_lags_and_by_steps(sizes):
         for shape in ((past_u * nu + past_y * ny,), (samples, nu), (samples, ny))
     )
     theta = 0.1 * rng.standard_normal((lags.order + nu + 1, ny))
-    model, windows = WindowPredictor(lags, theta), HorizonWindows(features, u, y, np.ones_like(y))
+    model, windows = WindowPredictor(lags, theta), SegmentBatch(features, u, y, np.ones_like(y))
     for one, other in zip(
         normal_by_lags(model, windows), normal_by_steps(model, windows), strict=True
     ):
@@ -151,7 +151,7 @@ def test_normal_equations_are_the_same_by_lags_and_by_steps(sizes):
 def test_windows_are_bounded_in_number_and_come_from_every_record(runs, context):
     records = scaled(runs, Scaling.of(runs))
     windows = cut_windows(records, context, 20)
-    assert isinstance(windows, HorizonWindows)
+    assert isinstance(windows, SegmentBatch)
     assert 15 <= len(windows.u) <= 24
     assert windows.u.shape[1:] == (HORIZON, 1)
     for record in records:
@@ -159,10 +159,10 @@ def test_windows_are_bounded_in_number_and_come_from_every_record(runs, context)
         assert any((firsts == first).all(axis=1).any() for first in windows.y[:, 0])
     # The past window is the sample before the first simulated one.
     before = _first(records[0].y, windows) - 1
-    np.testing.assert_array_equal(windows.features[0, 1:], records[0].y[before])
+    np.testing.assert_array_equal(windows.window[0, 1:], records[0].y[before])
 
 
-def _first(y: Array, windows: HorizonWindows) -> int:
+def _first(y: Array, windows: SegmentBatch) -> int:
     return int(np.flatnonzero((y == windows.y[0, 0]).all(axis=1))[0])
 
 

@@ -20,7 +20,7 @@ from asia.models._networks.training import FitTask, HoldoutSplit
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import laid
 from asia.models._numerics.training_records import (
-    PaddedBatch,
+    SegmentBatch,
     batch,
     holdout_masks,
     reweighted,
@@ -57,7 +57,7 @@ class Gain:
         return features * params["w"]
 
 
-def records_of(data: Case, gain: float) -> PaddedBatch:
+def records_of(data: Case, gain: float) -> SegmentBatch:
     scaling = Scaling.of(data.training)
     records = scaled(data.training, scaling)
     return batch([replace(r, y=gain * r.u) for r in records], data.context)
@@ -68,7 +68,7 @@ def silent(step: float, loss: float) -> None:
 
 
 def trained(
-    samples: PaddedBatch | HoldoutSplit, method: Adam, cell: Any = None, **task: Any
+    samples: SegmentBatch | HoldoutSplit, method: Adam, cell: Any = None, **task: Any
 ) -> Params:
     """A gain of zero, trained."""
     start = task.pop("start", {"w": np.zeros(1, np.float32)})
@@ -90,7 +90,7 @@ def test_records_shorter_than_a_chunk_are_learned_from() -> None:
     u, y = both.u.copy(), both.y.copy()
     u[0], y[0] = 0.0, 0.0
     method = Adam(300, 0.05, weight_decay=0.0, truncation=60)
-    found = trained(replace(both, u=u, y=y), method)
+    found = trained(both._replace(u=u, y=y), method)
     assert found["w"] == pytest.approx(1.7, abs=0.02)
 
 
@@ -104,7 +104,7 @@ def test_a_constant_offset_of_the_inputs_is_seen() -> None:
 def test_gentle_chunks_are_drawn_more_often() -> None:
     both = records_of(case(filtered, lengths=(100, 100)), 1.0)
     wild = np.array([1.0, 10.0])[:, None, None]
-    both = replace(both, u=wild * both.u, y=np.array([1.0, 30.0])[:, None, None] * both.y)
+    both = both._replace(u=wild * both.u, y=np.array([1.0, 30.0])[:, None, None] * both.y)
     method = Adam(300, 0.05, weight_decay=0.0, truncation=30)
     assert trained(both, method)["w"] > 2.5
     assert trained(both, replace(method, gentle=6.0))["w"] == pytest.approx(1.0, abs=0.1)
@@ -118,7 +118,7 @@ def test_samples_without_weight_do_not_count() -> None:
     weight = clean.weight.copy()
     weight[0, 20:60] = 0.0
     method = Adam(20, 0.05)
-    found = [trained(replace(clean, y=values, weight=weight), method) for values in (clean.y, y)]
+    found = [trained(clean._replace(y=values, weight=weight), method) for values in (clean.y, y)]
     assert found[0]["w"] == found[1]["w"]
 
 
@@ -126,7 +126,7 @@ def test_held_out_blocks_pick_the_number_of_steps() -> None:
     data = case(filtered, lengths=(100,))
     fitted = records_of(data, 1.0)
     # The held-out samples want half the gain: passed on the way up, so fewer steps are best.
-    held_out = replace(fitted, y=0.5 * fitted.y)
+    held_out = fitted._replace(y=0.5 * fitted.y)
     method = Adam(100, 0.02, weight_decay=0.0, schedule="constant")
     found = trained(HoldoutSplit(fitted, held_out, fitted), method)
     whole = trained(fitted, method)
@@ -137,7 +137,7 @@ def test_held_out_blocks_pick_the_number_of_steps() -> None:
 def test_few_steps_are_picked_among_those_that_were_tried() -> None:
     data = case(filtered, lengths=(100,))
     fitted = records_of(data, 1.0)
-    held_out = replace(fitted, y=0.5 * fitted.y)
+    held_out = fitted._replace(y=0.5 * fitted.y)
     method = Adam(10, 0.1, weight_decay=0.0, schedule="constant")
     reported: list[float] = []
 
@@ -165,7 +165,7 @@ def test_masks_hold_out_the_fraction_all_over_the_record() -> None:
 def test_step_with_a_gradient_that_is_not_finite_is_skipped() -> None:
     data = case(filtered, lengths=(60,))
     clean = records_of(data, 1.0)
-    broken = replace(clean, y=np.full_like(clean.y, np.inf))
+    broken = clean._replace(y=np.full_like(clean.y, np.inf))
     start = {"w": np.full(1, 0.25, np.float32)}
     found = trained(broken, Adam(5), start=start)
     assert found["w"] == pytest.approx(0.25)
@@ -225,7 +225,7 @@ def test_teacher_never_shows_samples_that_do_not_count() -> None:
     method = Adam(10, 0.01, teacher=1.0, teacher_end=1.0)
     begin = start(0.2, 0.2)
     found = [
-        trained(replace(data, y=y, weight=weight), method, Echo(), start=begin)
+        trained(data._replace(y=y, weight=weight), method, Echo(), start=begin)
         for y in (data.y, hidden)
     ]
     assert found[0]["a"] == found[1]["a"]
@@ -293,7 +293,7 @@ def test_robust_loss_is_less_moved_by_an_outlier() -> None:
     y = data.y.copy()
     y[0, 10] = 60.0 * np.sign(data.u[0, 10])
     found = [
-        float(trained(replace(data, y=y), Adam(400, 0.02, 0.0, loss=loss))["w"][0])
+        float(trained(data._replace(y=y), Adam(400, 0.02, 0.0, loss=loss))["w"][0])
         for loss in ("mse", "huber", "mae")
     ]
     assert abs(found[2] - 1.0) < abs(found[1] - 1.0) < abs(found[0] - 1.0)

@@ -9,8 +9,7 @@ import pytest
 
 from asia.agents import Agent, make_agent
 from asia.errors import CandidateError, Reason
-from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Proposed
 from asia.ledger.run import open_run

@@ -10,8 +10,7 @@ import pytest
 
 from asia.agents import AgentView, Proposal
 from asia.errors import UserError
-from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.executors import LocalExecutor
 from asia.ledger.events import Event, Landed, Proposed
 from asia.ledger.run import open_run

@@ -12,11 +12,10 @@ import pytest
 
 import asia
 from asia.errors import Reason
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
-from asia.judge.evaluation.results import Evaluation, FoldRecord
 from asia.judge.evaluation.workers import WorkerRunner
-from asia.judge.scoring.outcome import Failure, Score
+from asia.judge.scoring.outcome import Failure, FoldRecord, Score
 from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.ledger.events import Evaluated, Event, Fit, Proposed, ReferenceScored, Started
 from asia.ledger.evidence import incumbent_threshold
@@ -50,8 +49,8 @@ class Fits(Evaluator):
         outcome = self.outcomes[len(self.starts) - 1]
         if isinstance(outcome, Failure):
             return Evaluation(outcome)
-        fold = SimpleNamespace(y_hat=str(outcome))
-        return Evaluation(Score(outcome, ()), (cast(FoldRecord, fold),))
+        fold = FoldRecord(outcome, (), (), (), (), y_hat=str(outcome))
+        return Evaluation(Score(outcome, (fold,)))
 
     def objection(self, source: str, evaluation: object) -> None:
         """None."""
@@ -68,7 +67,7 @@ def a_search(retests: int, *incumbent: float) -> SearchView:
     events: list[Event] = [
         start,
         Proposed(1, None, "baseline", "f", "t", "h", "e", "s", "d"),
-        Evaluated(1, "keep", Score(first, ()), (), None, 1.0, retests=again),
+        Evaluated(1, "keep", Score(first, ()), None, 1.0, retests=again),
     ]
     return replay(events)
 
@@ -101,7 +100,8 @@ def test_a_candidate_must_stand_out_over_its_seeds(
 ) -> None:
     found, taken = judged(a_search(2, *NOISY), *outcomes)
     assert (found.status, taken) == (status, fits)
-    assert found.evaluation.outcome == Score(cast(float, outcomes[0]), ())
+    assert isinstance(found.evaluation.outcome, Score)
+    assert found.evaluation.outcome.value == outcomes[0]
     assert len(found.retests) == fits - 1
 
 
@@ -280,7 +280,7 @@ def with_another(view: SearchView, number: int, found: Decision) -> SearchView:
     """The search after one more experiment."""
     proposed = Proposed(number, None, "refine", "f", "t", "h", "e", "s", "d")
     result = Evaluated(
-        number, found.status, found.evaluation.outcome, (), None, 1.0,
+        number, found.status, found.evaluation.outcome, None, 1.0,
         retests=found.retests, threshold=found.threshold, lowest=found.lowest,
     )  # fmt: skip
     return replace(view, experiments=(*view.experiments, Experiment(proposed, result)))

@@ -10,7 +10,7 @@ import pytest
 
 from asia.analysis.confirmation import confirm
 from asia.errors import UserError
-from asia.judge.evaluation.results import derive_seed
+from asia.judge.evaluation.fold_fits import derive_seed
 from asia.ledger.chain import Chain
 from asia.ledger.events import Confirmed, Fit
 from asia.ledger.run import open_run

@@ -12,7 +12,7 @@ import pytest
 
 from asia.data import Array
 from asia.errors import CandidateError, Reason, UserError
-from asia.judge.evaluation.results import derive_seed
+from asia.judge.evaluation.fold_fits import derive_seed
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Refitted
 from asia.ledger.evidence import identified, identified_by_folds

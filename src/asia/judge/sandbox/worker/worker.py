@@ -21,7 +21,6 @@ from asia.errors import KNOWN_ERRORS, CandidateError, Reason, SandboxError
 from asia.judge.sandbox.layers.pids import PidsCgroup, PidsMechanism, count_tasks, most_pids
 from asia.judge.sandbox.programs import ProgramStore
 from asia.judge.sandbox.types import (
-    FitReply,
     Limits,
     ScoreModel,
     ScoreRefusedError,
@@ -162,13 +161,19 @@ class Worker:
         programs: ProgramStore | None = None,
         on_loss: Callable[[float, float], None] | None = None,
         fold_models: Sequence[bytes] = (),
-    ) -> FitReply:
+    ) -> tuple[Array, str, float]:
         """Execute the source and call its `fit`. The context's deadline becomes the earlier of
-        its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`,
+        its own and now + fit_seconds; its `log` is replaced by one that fills the curve,
         its `validation_score` by one that asks `score`, whose time counts as the fit's. JAX loads
         compiled `programs`; those that a source of the library alone compiles are added. `on_loss`
         is called with a step and its loss a few times a second. The context offers `fold_models` of
-        the same source, as `dump` gave them."""
+        the same source, as `dump` gave them.
+
+        Returns:
+            step and loss given to `context.log` (n, 2), at most 2000 rows, may hold NaN; the first
+            64 KB of stdout and stderr; both as the candidate reports them; wall time of the call in
+            seconds, measured outside
+        """
         late = Reason.FIT_TIMEOUT
         if context.plant is not None:
             context.plant.unpack()
@@ -209,7 +214,7 @@ class Worker:
             self.printed = self._channel.take_output()
             if programs is not None and library_only(source):
                 self._take_programs(programs)
-            return FitReply(curve.reshape(-1, 2), self.printed, seconds)
+            return curve.reshape(-1, 2), self.printed, seconds
 
     def load(self, source: str, model: bytes, context: Context) -> None:
         """Execute the source and take up the model that `dump` gave, in at most fit_seconds. May

@@ -65,6 +65,20 @@ class Check:
     axes: tuple[str, str] = ("", "")
 
 
+@dataclass(frozen=True)
+class RecordedCheck:
+    """One check as a ledger holds it: without curves."""
+
+    name: str
+    """A few words, unique within a validation report."""
+    verdict: Verdict
+    sentence: str
+    cause: str = ""
+    """Probable cause; "" if none is named."""
+    weight: float = 0.0
+    """Importance among the checks that do not pass."""
+
+
 def most_serious(checks: tuple[Check, ...]) -> Check | None:
     """The check to look at first; None where all pass."""
     raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]

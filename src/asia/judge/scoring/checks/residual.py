@@ -14,8 +14,8 @@ from asia.judge.scoring.checks.validation_data import (
     listed,
     percent,
 )
-from asia.judge.scoring.outcome import fit_index, pooled
-from asia.judge.scoring.residuals import QUANTILE, with_input, with_own_past
+from asia.judge.scoring.outcome import fit_index
+from asia.judge.scoring.residuals import QUANTILE, pooled, with_input, with_own_past
 from asia.problem.metrics import find_metric
 
 # F test of regressors of a coloured residual, after whitening.

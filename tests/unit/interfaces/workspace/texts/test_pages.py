@@ -13,7 +13,7 @@ import pytest
 from asia.agents.library.pages import families_page
 from asia.candidate import check_source
 from asia.interfaces.workspace.program import Confinement, models_page, program
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import search_context
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts

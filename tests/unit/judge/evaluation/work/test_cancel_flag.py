@@ -3,7 +3,7 @@
 import pytest
 
 from asia.errors import SandboxError
-from asia.judge.evaluation.background import CancelFlag
+from asia.judge.evaluation.workers import CancelFlag
 
 
 def test_nothing_begins_after_a_stop_and_ended_folds_are_kept() -> None:

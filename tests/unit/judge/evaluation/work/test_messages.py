@@ -12,17 +12,15 @@ import pytest
 from asia.errors import Reason, SandboxError, UserError
 from asia.judge.evaluation import remote
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.fold_fits import derive_seed, fold_data, search_context
 from asia.judge.evaluation.machines import check_installation, installation, survey_machines
-from asia.judge.evaluation.remote import answer
-from asia.judge.evaluation.results import derive_seed
-from asia.judge.evaluation.transport import (
+from asia.judge.evaluation.remote import (
     FoldWork,
+    answer,
     decode_answer,
     decode_data,
     encode_data,
     encode_work,
-    fold_data,
 )
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
@@ -124,9 +122,7 @@ def test_an_invalid_answer_is_no_result(problem: Problem, spoil: Callable[[bytes
 def work(problem: Problem, **changes: object) -> tuple[bytes, bytes]:
     rule = problem.protocol
     digest, raw = encode_data(fold_data(make_folds(problem.train, rule)[0], rule))
-    made = FoldWork(
-        "", digest, 1, arx(1), search_context(problem, 1), LIMITS, Isolation.PROCESS, ()
-    )
+    made = FoldWork("", digest, arx(1), search_context(problem, 1), LIMITS, Isolation.PROCESS, ())
     return encode_work(replace(made, **changes), installation()), raw  # type: ignore[arg-type]
 
 

@@ -1,11 +1,12 @@
 """Artifacts: the large parts of records, under the sha256 of their bytes."""
 
 import hashlib
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from asia.data.trajectory import Array
 from asia.errors import UserError
@@ -48,12 +49,17 @@ class ArtifactStore:
             for part, shape in zip(np.split(flat, ends[:-1]), shapes, strict=True)
         )
 
-    def parse(self, digest: ArtifactName, form: TypeAdapter[T]) -> T:
-        """Parse an artifact of JSON. Raises UserError where it is missing or this version cannot
-        read it."""
+    def parse(
+        self, digest: ArtifactName, form: TypeAdapter[T], known: Mapping[str, object] | None = None
+    ) -> T:
+        """Parse an artifact of JSON; known: fields that take the place of its own. Raises UserError
+        where it is missing or this version cannot read it."""
         try:
-            return form.validate_json(self.get(digest))
-        except ValidationError:
+            data = self.get(digest)
+            if known is not None:
+                data = json.dumps({**json.loads(data), **known})
+            return form.validate_json(data)
+        except (ValueError, TypeError):
             raise UserError(
                 f"artifact {digest} was written by another version of ASIA: read it with that one"
             ) from None
