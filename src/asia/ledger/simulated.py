@@ -25,9 +25,10 @@ def _rows(segment: SimulatedSegment) -> dict[str, Any]:
 def _from_rows(values: SimulatedSegment | dict[str, Any]) -> SimulatedSegment:
     if isinstance(values, SimulatedSegment):
         return values
-    return SimulatedSegment(
-        **{k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in values.items()}
-    )
+    read: dict[str, Any] = {
+        k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in values.items()
+    }
+    return SimulatedSegment(**read)
 
 
 _Sent = Annotated[SimulatedSegment, PlainValidator(_from_rows), PlainSerializer(_rows)]
