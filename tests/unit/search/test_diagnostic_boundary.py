@@ -10,7 +10,7 @@ import pytest
 from asia.analysis.validation import VALIDATION_CHECKS, validate
 from asia.errors import CandidateError, InternalError, Reason, UserError
 from asia.interfaces.cli import main
-from asia.judge.evaluation import findings
+from asia.judge.evaluation import fold_fits
 from asia.judge.scoring.checks.check import Verdict
 from asia.ledger.run import error_of, open_run
 from asia.report import files
@@ -67,7 +67,7 @@ def asia(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 def test_every_step_fails_and_the_search_ends_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for module, names in ((findings, IN_A_FOLD), (final, AT_THE_END)):
+    for module, names in ((fold_fits, IN_A_FOLD), (final, AT_THE_END)):
         for function in names.values():
             monkeypatch.setattr(module, function, fail)
     monkeypatch.setattr(loop, "write_exports", fail)
@@ -126,7 +126,7 @@ def test_a_score_that_raises_ends_the_search_and_status_says_so(
             raise error
 
         with monkeypatch.context() as patch:
-            patch.setattr(findings, "score_fold", broken)
+            patch.setattr(fold_fits, "score_fold", broken)
             with pytest.raises(type(error), match=str(error)):
                 search_toy(tmp_path, arx(2))
         assert asia(monkeypatch, "status", "--runs", str(tmp_path / "runs")) == 0
