@@ -125,7 +125,7 @@ def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
 M = TypeVar("M")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FoldFit(Generic[M]):
     """A model fitted on one fold and its simulations, as the process that fits reports them."""
 
@@ -155,6 +155,9 @@ class FoldFit(Generic[M]):
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
     """The level that was in force there; "" for the search's own."""
+
+    def __repr__(self) -> str:
+        return f"<model and simulations of {len(self.y_hat)} held-out blocks>"
 
 
 class OpenWorker(Protocol):

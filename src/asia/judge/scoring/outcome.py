@@ -63,7 +63,7 @@ _NO_DIAGNOSTICS = Diagnostics()
 _ABSENT: Any = Field(exclude_if=lambda value: value == _NO_DIAGNOSTICS)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FoldRecord:
     """One fold of a model: its score, and of a fitted candidate the fit and its diagnostics.
 
@@ -142,6 +142,12 @@ class FoldRecord:
         numbers = (self.value, *chain.from_iterable(lists))
         if not all(n is None or math.isfinite(n) for n in numbers):
             raise InternalError("a score that is not finite was about to be recorded")
+
+    def __repr__(self) -> str:
+        return (
+            f"<V {self.value:.6f}, training {self.diagnostics.train_error:.6f}, "
+            f"fit {self.fit_seconds:.1f} s>"
+        )
 
     def per_channel(self, metric: str) -> tuple[float, ...]:
         """The problem's metric of each output, in the metric's unit."""
