@@ -228,7 +228,9 @@ def _written(
         definitions={names[n]: text(e) for n, e in equations.definitions.items()},
         dynamics={names[n]: text(e) for n, e in equations.dynamics.items()},
         observation={
-            signals[n]: text(equations.observation.get(n, n)) for n in entry.outputs if n in signals
+            signals[n]: text(equations.observation.get(n, n))
+            for n in entry.outputs
+            if n in signals and equations.observation.get(n, n) != signals[n]
         },
         bounds={names[n]: b for n, b in equations.bounds.items()},
         priors={text(e): p for e, p in equations.priors.items()},

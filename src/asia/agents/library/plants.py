@@ -1,0 +1,42 @@
+"""Plants of the catalogue that a problem looks like, and what they usually have."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from asia.agents.view import Facts
+from asia.data.process import SameRecords
+from asia.data.trajectory import Signal
+from asia.errors import UserError
+from asia.plants.recognition import Likeness, likely, recognise
+from asia.problem.physics_text import written_physics
+
+
+def likely_plants(facts: Facts) -> tuple[Likeness, ...]:
+    """At most two plants that the problem looks like, the likelier first; () is "unknown"."""
+    words = f"{facts.description} {facts.notes} {facts.strategies}"
+    return _likely(words, facts.inputs, facts.outputs, SameRecords(facts.records))
+
+
+@lru_cache(maxsize=8)
+def _likely(
+    words: str, inputs: tuple[Signal, ...], outputs: tuple[Signal, ...], records: SameRecords
+) -> tuple[Likeness, ...]:
+    return likely(recognise(words, inputs, outputs, records.records))
+
+
+def usual_effects(facts: Facts) -> frozenset[str]:
+    """Settings of the grey-box for effects that such a plant usually has."""
+    return frozenset(e for one in likely_plants(facts) for e in one.plant.entry.effects)
+
+
+def equations_of(facts: Facts, one: Likeness) -> tuple[str, ...]:
+    """Equations of a plant in the names of the problem, one text for each assignment of signals to
+    roles; () where a name cannot be written in them."""
+    try:
+        return tuple(
+            written_physics(one.plant.physics(m, facts.inputs, facts.outputs, facts.records))
+            for m in one.mappings
+        )
+    except UserError:
+        return ()
