@@ -92,7 +92,7 @@ def recognise(
     spoken = _words(description) if is_described(description) else {}
     for name in names:
         spoken |= _words(name)
-    shown = _shown(tuple(records), outputs)
+    shown: dict[Sign, str] | None = None
     unit = log(len(catalogue()))
     found: list[Likeness] = []
     for plant in catalogue().values():
@@ -104,6 +104,8 @@ def recognise(
         if not mappings:
             continue
         score = sum(_evidence(one, has=one in own) for one in spoken.keys() & _rarity().keys())
+        if shown is None:
+            shown = _shown(tuple(records), outputs)
         signs: list[str] = []
         for sign in plant.entry.signs:
             if sign not in shown:

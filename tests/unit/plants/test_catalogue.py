@@ -1,6 +1,7 @@
 """Every entry of the catalogue loads, simulates and is fitted to records of its own equations."""
 
 import dataclasses
+import runpy
 from pathlib import Path
 from typing import get_args
 
@@ -106,3 +107,9 @@ def test_a_wrong_entry_is_refused(tmp_path: Path, old: str, new: str, sentence: 
 def test_an_unknown_plant_is_refused_with_the_nearest() -> None:
     with pytest.raises(UserError, match="did you mean 'pendulum'"):
         plant_named("pendulm")
+
+
+def test_the_page_lists_the_catalogue() -> None:
+    folder = Path(__file__).parents[3] / "docs"
+    listed = runpy.run_path(str(folder / "site" / "plants.py"))["listed"]
+    assert (folder / "plants.md").read_text().endswith(listed())

@@ -8,26 +8,32 @@ from asia.agents.view import Facts
 from asia.data.process import SameRecords
 from asia.data.trajectory import Signal
 from asia.errors import UserError
-from asia.plants.recognition import Likeness, likely, recognise
+from asia.plants.recognition import MOST_LIKELY, Likeness, likely, recognise
 from asia.problem.physics_text import written_physics
 
 
 def likely_plants(facts: Facts) -> tuple[Likeness, ...]:
     """At most two plants that the problem looks like, the likelier first; () is "unknown"."""
+    return likely(_ranked_of(facts))
+
+
+def _ranked_of(facts: Facts) -> tuple[Likeness, ...]:
     words = f"{facts.description} {facts.notes} {facts.strategies}"
-    return _likely(words, facts.inputs, facts.outputs, SameRecords(facts.records))
+    return _ranked(words, facts.inputs, facts.outputs, SameRecords(facts.records))
 
 
 @lru_cache(maxsize=8)
-def _likely(
+def _ranked(
     words: str, inputs: tuple[Signal, ...], outputs: tuple[Signal, ...], records: SameRecords
 ) -> tuple[Likeness, ...]:
-    return likely(recognise(words, inputs, outputs, records.records))
+    return recognise(words, inputs, outputs, records.records)
 
 
 def usual_effects(facts: Facts) -> frozenset[str]:
-    """Settings of the grey-box for effects that such a plant usually has."""
-    return frozenset(e for one in likely_plants(facts) for e in one.plant.entry.effects)
+    """Settings of the grey-box for effects that such plants usually have: the two nearest, unless
+    the words speak against them."""
+    near = (one for one in _ranked_of(facts)[:MOST_LIKELY] if one.score > 0)
+    return frozenset(effect for one in near for effect in one.plant.entry.effects)
 
 
 def equations_of(facts: Facts, one: Likeness) -> tuple[str, ...]:
