@@ -29,7 +29,7 @@ from asia.problem.toml import read_table
 
 _FOLDER = Path(__file__).resolve().parent
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-_FUNCTIONS: Mapping[str, Callable[..., float]] = {
+_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "sqrt": math.sqrt, "abs": abs, "min": min, "max": max, "exp": math.exp,
 }  # fmt: skip
 _EXAMPLE_STEP = 1.0

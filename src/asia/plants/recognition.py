@@ -30,7 +30,7 @@ MOST_LIKELY = 2
 MOST_MAPPINGS = 3
 """Assignments of signals to roles that are worth a try."""
 _MOST_SIGNALS = 6
-_LEAST_LETTERS = 3
+_LEAST_LETTERS = 2
 _LEAST_STEM = 4
 _LEAST_REST = 0.02
 _KNOWN = 0.5
@@ -38,7 +38,7 @@ _KNOWN = 0.5
 # Numbers and directions, which any description has.
 _PLAIN = frozenset(
     {"two", "three", "four", "first", "second", "third", "fourth", "input", "inputs", "output"}
-    | {"outputs", "out", "and", "with"}
+    | {"outputs", "in", "out"}
 )
 _ENDINGS = (
     "izations", "ization", "isation", "ations", "ation", "ators", "ating", "ated", "ator", "ates",
@@ -141,7 +141,7 @@ def _words(text: str) -> dict[str, str]:
     """Words of a text by their stems; names of signals are cut at capitals and digits."""
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", text)
     found = re.findall(r"[^\W\d_]+", text.lower())
-    long = (word for word in found if len(word) >= _LEAST_LETTERS or word == "ph")
+    long = (word for word in found if len(word) >= _LEAST_LETTERS)
     return {stem(word): word for word in long if word not in _PLAIN}
 
 
