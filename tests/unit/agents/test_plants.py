@@ -38,6 +38,16 @@ def test_the_equations_of_a_recognised_plant_come_first() -> None:
     assert physics.dynamics == {"level": "gain*pump - outflow*sqrt(level)"}
 
 
+def test_a_sensor_without_sign_is_written_into_the_equations() -> None:
+    text = "Two motors drive a pulley by an elastic belt. "
+    known = described(text, (Signal("voltage"),), (Signal("speed"),))
+    (record,) = known.records
+    known = replace(known, records=(replace(record, y=abs(record.y)),))
+    told = replace(known, description=f"{text} The sensor gives the magnitude of the speed.")
+    found = [equations_of(facts, likely_plants(facts)[0]) for facts in (known, told)]
+    assert [["abs(speed)" in text for text in texts] for texts in found] == [[False, True], [True]]
+
+
 def test_a_lost_plant_is_said_and_the_ladder_follows() -> None:
     known = tank()
     first = replace(trial(following(known, (), "explore"), 1, 0.5), variant=LINEAR)

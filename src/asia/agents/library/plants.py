@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
+from asia.agents.library.traits import sign_lost
 from asia.agents.view import Facts
 from asia.data.process import SameRecords
 from asia.data.trajectory import Signal
@@ -38,11 +40,17 @@ def usual_effects(facts: Facts) -> frozenset[str]:
 
 def equations_of(facts: Facts, one: Likeness) -> tuple[str, ...]:
     """Equations of a plant in the names of the problem, one text for each assignment of signals to
-    roles; () where a name cannot be written in them."""
+    roles, with and without a sensor without sign where the sign may be lost; () where a name cannot
+    be written in them."""
     try:
-        return tuple(
-            written_physics(one.plant.physics(m, facts.inputs, facts.outputs, facts.records))
-            for m in one.mappings
-        )
+        signed = [
+            one.plant.physics(m, facts.inputs, facts.outputs, facts.records) for m in one.mappings
+        ]
     except UserError:
         return ()
+    lost, names = sign_lost(facts), [s.name for s in facts.outputs]
+    unsigned = [
+        replace(p, observation={n: f"abs({p.observation.get(n, n)})" for n in names})
+        for p in signed
+    ]
+    return tuple(map(written_physics, (*signed * (lost < 1.0), *unsigned * (lost > 0.0))))
