@@ -65,8 +65,8 @@ def periodic(facts: Facts) -> bool:
 
 
 _UNSIGNED = re.compile(
-    r"\b(magnitude|absolute (value|speed)|unsigned|rectifie[ds]|"
-    r"(without|no|loses its|lost its) sign)\b"
+    r"(?<![a-z])(magnitude|absolute (value|speed)|unsigned|rectifie[ds]|"
+    r"(without|no|loses its|lost its) sign)(?![a-z])"
 )
 
 
