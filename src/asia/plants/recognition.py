@@ -14,7 +14,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import permutations
 from math import exp, log
 
 from asia.data.statistics import integrating, limit_shares, resonant, transport
@@ -207,6 +206,9 @@ def _shown(records: tuple[Trajectory, ...], outputs: Sequence[Signal]) -> dict[S
 # Signals and roles.
 
 
+_Scored = tuple[float, dict[str, str]]
+
+
 def assignments(
     plant: Plant, inputs: Sequence[Signal], outputs: Sequence[Signal]
 ) -> tuple[Mapping[str, str], ...]:
@@ -216,38 +218,37 @@ def assignments(
         return ()
     ins = list(_assigned(entry.inputs, inputs, all_signals=False))
     outs = list(_assigned(entry.outputs, outputs, all_signals=True))
-    both = [(a + b, {**one, **two}) for a, one in ins for b, two in outs]
-    both.sort(key=lambda pair: -pair[0])
+    both = [((a + b, len(one)), {**one, **two}) for a, one in ins for b, two in outs]
+    both.sort(key=lambda pair: pair[0], reverse=True)
     # Those that the names do not tell apart from the best are worth a try.
     return tuple(one for total, one in both if total == both[0][0])[:MOST_MAPPINGS]
 
 
 def _assigned(
     roles: Mapping[str, Role], signals: Sequence[Signal], *, all_signals: bool
-) -> Iterator[tuple[float, dict[str, str]]]:
+) -> Iterator[_Scored]:
     """Assignments with their scores.
 
     Args:
         all_signals: whether every signal needs a role
     """
     needed = {n for n, r in roles.items() if r.absent is None and not r.optional}
-    most = min(len(roles), len(signals))
-    if len(needed) > most or (all_signals and len(signals) > len(roles)):
-        return
-    fits = {(n, s): _fit(r, signals[s]) for n, r in roles.items() for s in range(len(signals))}
-    slots: list[str | None] = [*roles, *[None] * (0 if all_signals else len(signals))]
-    tried: set[tuple[str | None, ...]] = set()
-    for chosen in permutations(slots, len(signals)):
-        if chosen in tried or not needed <= set(chosen):
-            continue
-        tried.add(chosen)
-        pairs = [(role, s) for s, role in enumerate(chosen) if role is not None]
-        scores = [fits[role, s] for role, s in pairs]
-        if None not in scores:
-            yield (
-                sum(score for score in scores if score is not None),
-                {role: signals[s].name for role, s in pairs},
-            )
+
+    def extended(free: Sequence[Signal], left: tuple[str, ...]) -> Iterator[_Scored]:
+        if not free:
+            if not needed & set(left):
+                yield 0.0, {}
+            return
+        for role in left:
+            fit = _fit(roles[role], free[0])
+            if fit is not None:
+                for score, one in extended(free[1:], tuple(r for r in left if r != role)):
+                    yield fit + score, {role: free[0].name, **one}
+        if not all_signals:
+            yield from extended(free[1:], left)
+
+    if len(needed) <= len(signals) and (len(signals) <= len(roles) or not all_signals):
+        yield from extended(signals, tuple(roles))
 
 
 def _fit(role: Role, signal: Signal) -> float | None:
