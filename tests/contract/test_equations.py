@@ -19,6 +19,7 @@ from asia.models._networks.compiled import compiled
 from asia.models._networks.network import outputs_of
 from asia.models._networks.structure import rollout
 from asia.problem import Bounds, ParameterRange, Physics
+from tests.unit.models.systems.memory import remembering
 
 FLOAT32, FLOAT64 = 1e-5, 1e-9
 ROWS, SEGMENTS, SAMPLES = 3, 4, 60
@@ -101,6 +102,10 @@ def both_ways(structure: GreyBoxStructure) -> None:
 @pytest.mark.parametrize("name", CONFIGS)
 def test_a_grey_box_steps_in_numpy_as_in_jax(name: str) -> None:
     both_ways(greybox.build(greybox.Config(**CONFIGS[name]), CONTEXT).structure)
+
+
+def test_memory_steps_in_numpy_as_in_jax() -> None:
+    both_ways(remembering().structure)
 
 
 def test_a_hybrid_steps_in_numpy_as_in_jax() -> None:

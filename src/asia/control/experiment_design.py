@@ -32,6 +32,7 @@ from asia.ledger.evidence import identified
 from asia.ledger.run import Run, open_run
 from asia.problem.identifiability import ParameterChanges
 from asia.problem.load import load_lock
+from asia.problem.memory import expanded
 from asia.problem.problem import Problem
 from asia.search.extension import leading_experiments
 from asia.search.run import LOCK, make_evaluator
@@ -649,6 +650,8 @@ def _parameters(
     standard errors of them."""
     found, physics = identified(run), problem.physics
     if found is None or physics is None:
+        return None
+    if expanded(physics, [s.name for s in problem.outputs]).delays:
         return None
     rows = [(k, one.fitted) for k, one in enumerate(found.parameters)]
     rows = [(k, one) for k, one in rows if one.name in physics.parameters]

@@ -28,8 +28,9 @@ from asia.models._equations.identified import equation_lines
 from asia.models._equations.initial_state import CaseSteps, simulate_cases
 from asia.models._equations.ode import equations
 from asia.models._equations.simulate import Effects, effects
-from asia.models._equations.starts import cut_segments
+from asia.models._equations.starts import cut_segments, with_memory
 from asia.models._least_squares import LevenbergMarquardt
+from asia.problem.memory import LEAST_TIME
 from asia.problem.physics import Bounds, ParameterRange, Physics, Prior, check_physics
 
 __all__ = ["Bounds", "Config", "GreyBox", "ParameterRange", "Physics", "Prior", "build", "train"]
@@ -73,7 +74,7 @@ class GreyBox:
         return simulate_cases(self.structure, fitted.scales, fitted.prior, fitted.z, cases)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """State of the equations, and the inputs that a delay still holds back; see
+        """State of the equations, and the samples that delays still hold back; see
         `asia.candidate.StepModel`.
 
         Raises:
@@ -187,7 +188,7 @@ class _SteppedParameters:
         return cases.initial(past_u, past_y, u), xp.repeat(nominal, len(u), axis=0)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        (x, line), chosen = state
+        own, chosen = state
         xp, cases = namespace(u), self.model.steps(u)
         found: list[Any] = []
         # The equations have one set of parameters for all cases, so each case goes alone.
@@ -196,8 +197,8 @@ class _SteppedParameters:
             for column, place in enumerate(self.places):
                 values[place] = chosen[i : i + 1, column]
             one = replace(cases, effect=cases.effect._replace(parameters=xp.stack(values)))
-            found.append(one.step((x[i : i + 1], line[i : i + 1]), u[i : i + 1]))
-        own = tuple(xp.concatenate([after[k] for after, _ in found]) for k in range(2))
+            found.append(one.step(tuple(part[i : i + 1] for part in own), u[i : i + 1]))
+        own = tuple(xp.concatenate([after[k] for after, _ in found]) for k in range(len(own)))
         return (own, chosen), xp.concatenate([y for _, y in found])
 
 
@@ -222,8 +223,12 @@ def build(config: Config, context: Context) -> GreyBox:
     inputs, outputs = ([s.name for s in group] for group in (context.inputs, context.outputs))
     if config.physics:
         check_physics(physics, inputs, outputs)
-    bounds = [physics.bounds.get(name, Bounds()) for name in physics.states]
     system = equations(physics, inputs, outputs)
+    bounds = [physics.bounds.get(name, Bounds()) for name in system.states]
+    # A shorter lag would make an explicit step unstable.
+    least = 0.5 * context.sampling_time / config.substeps
+    constants = ((name, least if name == LEAST_TIME else c) for name, c in system.constants)
+    system = replace(system, constants=tuple(constants))
     priors = NO_PRIORS
     if config.prior_width is not None:
         rows = [(text, p.mean, p.deviation) for text, p in physics.priors.items()]
@@ -239,6 +244,7 @@ def build(config: Config, context: Context) -> GreyBox:
         n_past_u=context.n_past_u,
         n_past_y=context.n_past_y,
         priors=priors,
+        problem_states=len(physics.states) if system.rest else None,
         time_step=next((i for i, s in enumerate(context.inputs) if s.role == "time_step"), None),
     )
     if structure.time_step is not None and (config.input_delay or config.discover):
@@ -259,9 +265,9 @@ def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:
             'greybox.Config: initial is "measured", but the past window does not show every '
             'state; use "estimated" or None'
         )
-    measured = possible and (
-        requested == "measured" or (requested is None and context.horizon is not None)
-    )
+    # The buffer of a delay fills over the whole past window.
+    usual = context.horizon is not None and not structure.equations.delays
+    measured = possible and (requested == "measured" or (requested is None and usual))
     driven = [name for name in structure.config.lag if name in structure.equations.inputs]
     if measured and driven:
         raise UserError(
@@ -292,7 +298,7 @@ def train(
         more = int(np.clip(np.ceil(longest / structure.sampling_time), 1, _MOST_SUBSTEPS))
         config = replace(structure.config, substeps=more * structure.config.substeps)
         structure = replace(structure, config=config)
-    structure = extended(structure, segments)
+    structure = with_memory(extended(structure, segments), segments)
     near = [
         one.fitted
         for one in context.fold_models()
@@ -303,4 +309,5 @@ def train(
         from asia.models._equations.discovery import discover
 
         structure, fitted = discover(structure, segments, fitted, method)
+    structure = with_memory(structure, segments, fitted.z)
     return replace(model, structure=structure, fitted=fitted)

@@ -140,6 +140,8 @@ def build(config: Config, context: Context) -> PhysicsNet:
             "black-box family"
         )
     given = equations(physics, [s.name for s in context.inputs], [s.name for s in context.outputs])
+    if given.delays:
+        raise UserError("physics_net: the equations delay a signal; use greybox or hybrid")
     shown = outputs_of_states(given, context)
     places = tuple(physics.corrections)
     priors = {f"[physics.priors] {text}": p for text, p in physics.priors.items()}

@@ -190,7 +190,10 @@ class CheckReport:
             lines += [f"prior {line}" for line in prior_lines(physics)]
             lines += [f"correction {line}" for line in correction_lines(physics)]
             if self.unidentifiable is None:
-                lines.append("identifiability: not tested, the equations could not be simulated")
+                lines.append(
+                    "identifiability: not tested, the equations have delays or could not be "
+                    "simulated"
+                )
             elif physics.parameters and not self.unidentifiable:
                 lines.append("identifiability: records can determine every parameter in principle")
             lines += [f"identifiability: {one}" for one in self.unidentifiable or ()]

@@ -9,7 +9,7 @@ ACM TOMS 29(3), 2003 (derivatives by complex steps).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, TypeAlias
@@ -18,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Trajectory
+from asia.problem.memory import LEAST_TIME, expanded
 from asia.problem.physics import (
     NAMED_NUMBERS,
+    Expression,
+    Node,
     ParameterRange,
     Physics,
-    definition_order,
+    names_in,
     parse_expression,
 )
 
@@ -76,12 +79,15 @@ def unidentifiable(
         records: training records, for ranges of inputs and states and the sampling time
 
     Returns:
-        one entry for each group of parameters; None where the equations could not be simulated
+        one entry for each group of parameters; None where the equations could not be simulated, or
+        have delays, which the check cannot follow
     """
     names = tuple(physics.parameters)
     if not names:
         return []
     model, rng = _Equations(physics, inputs, outputs), np.random.default_rng(0)
+    if model.delays:
+        return None
     found: list[tuple[Array, Array]] = []
     for _ in range(_DRAWS):
         theta = np.array([_drawn(one, rng) for one in physics.parameters.values()])
@@ -167,21 +173,22 @@ class _Equations:
     """Right-hand sides and outputs of a physics section, for any number of columns at once."""
 
     def __init__(self, physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        def parsed(texts: Mapping[str, str], names: Sequence[str]) -> list[_Formula]:
-            formulas = (parse_expression(texts.get(name, name), name) for name in names)
-            return [one.compiled(_FUNCTIONS) for one in formulas]
+        def formulas(nodes: Iterable[Node]) -> list[_Formula]:
+            return [Expression("", n, names_in(n)).compiled(_FUNCTIONS) for n in nodes]
 
-        self.physics, self.inputs = physics, inputs
-        self.defined = definition_order(physics)
-        self.definitions = parsed(physics.definitions, self.defined)
-        self.dynamics = parsed(physics.dynamics, physics.states)
-        self.observation = parsed(physics.observation, outputs)
+        found = expanded(physics, outputs)
+        self.physics, self.inputs, self.states = physics, inputs, found.states
+        self.delays = found.delays
+        self.defined = tuple(name for name, _ in found.definitions)
+        self.definitions = formulas(node for _, node in found.definitions)
+        self.dynamics = formulas(found.dynamics)
+        self.observation = formulas(found.observation)
 
     def values(self, which: Sequence[_Formula], x: Any, u: Array, theta: Any) -> ComplexArray:
         """Values (len(which), columns) at states x (nx, columns) and parameters (p, columns)."""
         named: dict[str, Any] = {**NAMED_NUMBERS, **self.physics.constants}
-        named |= dict.fromkeys(self.physics.corrections, 0.0)
-        named |= zip(self.physics.states, x, strict=True)
+        named |= dict.fromkeys((*self.physics.corrections, LEAST_TIME), 0.0)
+        named |= zip(self.states, x, strict=True)
         named |= zip(self.inputs, u, strict=True)
         named |= zip(self.physics.parameters, theta, strict=True)
         for name, definition in zip(self.defined, self.definitions, strict=True):
@@ -201,7 +208,7 @@ def _null_space(
 ) -> Array | None:
     """Changes of the parameters (p, k) that leave all outputs as they are, whatever the initial
     states; None where nothing could be simulated."""
-    size, states = len(theta), len(model.physics.states)
+    size, states = len(theta), len(model.states)
     blocks = [
         block
         for interval in _INTERVALS
@@ -239,14 +246,14 @@ def _sensitivities(
     parameters; None where it fails early."""
     from scipy.integrate import solve_ivp
 
-    physics, count = model.physics, len(model.physics.states)
+    physics, count = model.physics, len(model.states)
     step = records[0].sampling_time * interval
     low = np.min([r.u.min(axis=0) for r in records], axis=0)
     high = np.max([r.u.max(axis=0) for r in records], axis=0)
     y = np.concatenate([r.measured_y for r in records])
     size = float(np.nanmedian(np.abs(y))) or 1.0
     x = np.empty(count)
-    for i, name in enumerate(physics.states):
+    for i, name in enumerate(model.states):
         bounds = physics.bounds.get(name)
         least = bounds.min if bounds and bounds.min is not None else -np.inf
         most = bounds.max if bounds and bounds.max is not None else np.inf
@@ -317,7 +324,7 @@ class ParameterChanges:
         known = zip(signals[1], rest[1], strict=True)
         seen = {physics.observation.get(name, name): value for name, value in known}
         columns = self._theta.shape[1]
-        first = [[seen.get(name, typical)] * columns for name in physics.states]
+        first = [[seen.get(name, typical)] * columns for name in self._model.states]
         x: ComplexArray = np.array(first, np.complex128)
         # States that settle at zero are small beside those on the way.
         size = np.abs(x).max()

@@ -24,6 +24,7 @@ from asia.problem.feedback import explained_inputs
 from asia.problem.folds import least_samples, require_length
 from asia.problem.held_back import divided
 from asia.problem.lock import check_digests
+from asia.problem.memory import expanded
 from asia.problem.physics import check_physics
 from asia.problem.plant import load_plant
 from asia.problem.problem import Problem, TestSource, prepared
@@ -220,6 +221,7 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         raise UserError("[preprocess] changes the signals of the [loop]: leave one of them out")
     if physics is not None:
         check_physics(physics, inputs, outputs)
+        expanded(physics, outputs)
     check_symmetry(file.symmetry, inputs, outputs, physics)
     done.check(inputs)
     if file.control is not None:

@@ -102,6 +102,14 @@ FUNCTIONS: Mapping[str, tuple[int, int | None]] = {
 }
 """Functions an expression may call, with their least and greatest number of arguments."""
 
+MEMORY: Mapping[str, tuple[int, int | None]] = {
+    "delay": (2, 2),
+    "plug_flow": (3, 4),
+    "plug_mean": (3, 3),
+    "lag": (2, 2),
+}
+"""Operators of equations whose value depends on past samples, with their numbers of arguments."""
+
 NAMED_NUMBERS: Mapping[str, float] = {"pi": pi}
 """Names reserved for numbers."""
 
@@ -173,8 +181,9 @@ class Expression:
         return _compiled(self.root, functions)
 
 
-def parse_expression(text: str, where: str) -> Expression:
-    """Parse `text`; `where` names its field in messages.
+def parse_expression(text: str, where: str, *, memory: bool = False) -> Expression:
+    """Parse `text`; `where` names its field in messages, and `memory` allows the operators that
+    remember past samples.
 
     Raises:
         UserError: when the text does not parse, holds anything except names, numbers, + - * /
@@ -191,7 +200,7 @@ def parse_expression(text: str, where: str) -> Expression:
         raise UserError(f"{where}: '^' is not a power: write ** as in '{power}'")
     try:
         tree = expression_tree(text.strip())
-        root = _convert(tree.body, where)
+        root = _Parser(where, {**FUNCTIONS, **MEMORY} if memory else FUNCTIONS).node(tree.body)
         names = names_in(root)
     except (SyntaxError, ValueError) as error:
         product = _with_product(text)
@@ -220,31 +229,6 @@ def _with_product(text: str) -> str:
     return changed if changed != text else ""
 
 
-def _convert(node: ast.expr, where: str) -> Node:
-    match node:
-        case ast.Constant(value=bool() | str() | bytes() | complex() | None):
-            raise UserError(f"{where}: {ast.unparse(node)} is not a real number")
-        case ast.Constant(value=int() | float() as value):
-            return _number(value, where)
-        case ast.Name(id=name):
-            return Number(NAMED_NUMBERS[name]) if name in NAMED_NUMBERS else Name(name)
-        case ast.UnaryOp(op=ast.UAdd()):
-            return _convert(node.operand, where)
-        case ast.UnaryOp(op=ast.USub()):
-            operand = _convert(node.operand, where)
-            return Number(-operand.value) if isinstance(operand, Number) else Negative(operand)
-        case ast.BinOp(op=op) if type(op) in _SYMBOLS:
-            left, right = _convert(node.left, where), _convert(node.right, where)
-            return _binary(_SYMBOLS[type(op)], left, right, where)
-        case ast.Call():
-            return _call(node, where)
-        case _:
-            raise UserError(
-                f"{where}: '{ast.unparse(node)}' is not allowed; an expression holds names, "
-                "numbers, + - * / **, parentheses and function calls"
-            )
-
-
 def _number(value: float, where: str) -> Number:
     if not abs(value) <= sys.float_info.max:
         raise UserError(f"{where}: a number in the expression is too large")
@@ -267,27 +251,66 @@ def _binary(symbol: str, left: Node, right: Node, where: str) -> Node:
     return Binary(symbol, left, right)
 
 
-def _call(node: ast.Call, where: str) -> Call:
-    if not isinstance(node.func, ast.Name):
-        raise UserError(f"{where}: '{ast.unparse(node.func)}' cannot be called")
-    name = node.func.id
-    if name not in FUNCTIONS:
-        product = ""
-        if len(node.args) == 1 and not node.keywords:
-            product = f"; for a product write '{name}*({ast.unparse(node.args[0])})'"
-        raise UserError(
-            f"{where}: there is no function '{name}'{nearest(name, FUNCTIONS)}{product}"
-        )
-    least, greatest = FUNCTIONS[name]
-    count = len(node.args)
-    starred = any(isinstance(argument, ast.Starred) for argument in node.args)
-    if node.keywords or starred or count < least or (greatest is not None and count > greatest):
-        expected = f"{least}" if greatest == least else f"{least} or more"
-        raise UserError(
-            f"{where}: '{ast.unparse(node)}': {name} takes {expected} plain "
-            f"argument{'s' if expected != '1' else ''}"
-        )
-    return Call(name, tuple(_convert(argument, where) for argument in node.args))
+@dataclass(frozen=True)
+class _Parser:
+    """Conversion of Python's tree to ours."""
+
+    where: str
+    functions: Mapping[str, tuple[int, int | None]]
+
+    def node(self, node: ast.expr) -> Node:
+        where = self.where
+        match node:
+            case ast.Constant(value=bool() | str() | bytes() | complex() | None):
+                raise UserError(f"{where}: {ast.unparse(node)} is not a real number")
+            case ast.Constant(value=int() | float() as value):
+                return _number(value, where)
+            case ast.Name(id=name):
+                return Number(NAMED_NUMBERS[name]) if name in NAMED_NUMBERS else Name(name)
+            case ast.UnaryOp(op=ast.UAdd()):
+                return self.node(node.operand)
+            case ast.UnaryOp(op=ast.USub()):
+                operand = self.node(node.operand)
+                return Number(-operand.value) if isinstance(operand, Number) else Negative(operand)
+            case ast.BinOp(op=op) if type(op) in _SYMBOLS:
+                return _binary(
+                    _SYMBOLS[type(op)], self.node(node.left), self.node(node.right), where
+                )
+            case ast.Call():
+                return self._call(node)
+            case _:
+                raise UserError(
+                    f"{where}: '{ast.unparse(node)}' is not allowed; an expression holds names, "
+                    "numbers, + - * / **, parentheses and function calls"
+                )
+
+    def _call(self, node: ast.Call) -> Call:
+        where = self.where
+        if not isinstance(node.func, ast.Name):
+            raise UserError(f"{where}: '{ast.unparse(node.func)}' cannot be called")
+        name = node.func.id
+        if name in MEMORY and name not in self.functions:
+            raise UserError(
+                f"{where}: {name} remembers past samples; use it in [physics.definitions], "
+                "[physics.dynamics] or [physics.observation]"
+            )
+        if name not in self.functions:
+            product = ""
+            if len(node.args) == 1 and not node.keywords:
+                product = f"; for a product write '{name}*({ast.unparse(node.args[0])})'"
+            raise UserError(
+                f"{where}: there is no function '{name}'{nearest(name, self.functions)}{product}"
+            )
+        least, greatest = self.functions[name]
+        count = len(node.args)
+        starred = any(isinstance(argument, ast.Starred) for argument in node.args)
+        if node.keywords or starred or count < least or (greatest is not None and count > greatest):
+            expected = f"{least}" if greatest == least else f"{least} or {greatest or 'more'}"
+            raise UserError(
+                f"{where}: '{ast.unparse(node)}': {name} takes {expected} plain "
+                f"argument{'s' if expected != '1' else ''}"
+            )
+        return Call(name, tuple(self.node(argument) for argument in node.args))
 
 
 def names_in(node: Node) -> frozenset[str]:
@@ -384,7 +407,7 @@ def check_physics(physics: Physics, inputs: Sequence[str], outputs: Sequence[str
         symbol
         for section, entries in sections.items()
         for name, text in entries.items()
-        for symbol in _parse(text, f"[physics.{section}] {name}", symbols).names
+        for symbol in _parse(text, f"[physics.{section}] {name}", symbols, memory=True).names
     }
     for name, correction in physics.corrections.items():
         if name not in used:
@@ -406,7 +429,7 @@ def definition_order(physics: Physics) -> tuple[str, ...]:
         UserError: on a cycle
     """
     uses = {
-        name: parse_expression(text, f"[physics.definitions] {name}").names
+        name: parse_expression(text, f"[physics.definitions] {name}", memory=True).names
         & physics.definitions.keys()
         for name, text in physics.definitions.items()
     }
@@ -459,9 +482,9 @@ def _check_known(table: str, names: Iterable[str], kind: str, known: Sequence[st
             )
 
 
-def _parse(text: str, where: str, symbols: set[str]) -> Expression:
+def _parse(text: str, where: str, symbols: set[str], *, memory: bool = False) -> Expression:
     """Parse an expression that names nothing but `symbols`."""
-    expression = parse_expression(text, where)
+    expression = parse_expression(text, where, memory=memory)
     for name in sorted(expression.names - symbols):
         if name in FUNCTIONS:
             raise UserError(f"{where}: '{name}' is a function: call it with its argument")

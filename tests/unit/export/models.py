@@ -35,6 +35,7 @@ from asia.models._numerics.scaling import Scaling
 from asia.models._one_step import FreeRunModel, Polynomial, PolynomialRun, all_terms
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
+from tests.unit.models.systems.memory import remembering
 
 NU, NY, PAST = 2, 2, 3
 CONTEXT = Context(
@@ -133,6 +134,7 @@ MODELS: dict[str, Callable[[], Any]] = {
     "neural_ss, polynomial, median of 3": lambda: state_space_model(3, "polynomial"),
     "neural_ss, modes": lambda: state_space_model(1, "polynomial", "modal"),
     "neural_ss with transport": carried_model,
+    "equations with memory": remembering,
     "narx": polynomial_model,
     "gru": lambda: network(recurrent, cell="gru", hidden=5, layers=2),
     "lstm": lambda: network(recurrent, hidden=5, features=("square", "sqrt")),

@@ -57,7 +57,10 @@ def _read_by_others(at: Situation) -> tuple[str, ...]:
     physics = at.physics
     if physics is None:
         return ()
-    texts = {state: parse_expression(text, state).names for state, text in physics.dynamics.items()}
+    texts = {
+        state: parse_expression(text, state, memory=True).names
+        for state, text in physics.dynamics.items()
+    }
     return tuple(
         name
         for name in physics.states

@@ -10,6 +10,7 @@ import numpy as np
 
 from asia.agents.view import AgentView, Facts
 from asia.data.statistics import Relation, integrating, period, relation, resonant
+from asia.problem.memory import has_memory
 from asia.problem.symmetry import of_signals
 
 Trait = Literal[
@@ -34,7 +35,7 @@ def traits(facts: Facts) -> frozenset[Trait]:
         measured = (facts.n_past_u, facts.n_past_y) == (0, 1)
     else:
         seen = {physics.observation.get(name, name).strip() for name in outputs}
-        measured = set(physics.states) <= seen
+        measured = set(physics.states) <= seen and not has_memory(physics)
     found: dict[Trait, bool] = {
         "physics": physics is not None,
         "parameters": physics is not None and bool(physics.parameters),

@@ -247,8 +247,10 @@ def _own_equations(problem: Problem) -> str:
     names = ", ".join(f'"{name}"' for name in (first, "hidden", *others))
     about = (
         "`greybox` fits equations that the candidate states itself, in physical units. Names are "
-        f"those of states, inputs and parameters; functions: {', '.join(FUNCTIONS)}. An output is "
-        'the state of its name, or an expression in `observation={OUTPUT: "..."}`. Known numbers '
+        f"those of states, inputs and parameters; functions: {', '.join(FUNCTIONS)}, and with "
+        "memory delay(x, time), plug_flow(x, flow, volume), plug_mean(x, flow, volume), "
+        "lag(x, time). An output is the state of its name, or an expression in "
+        '`observation={OUTPUT: "..."}`. Known numbers '
         "belong into `constants={NAME: VALUE}`, subexpressions into `definitions`. Balances can be "
         "written around a working point, in deviations from it: parameters are then of similar "
         f"size. `substeps`: {substeps} Options such as "

@@ -168,6 +168,8 @@ class GreyBoxStructure:
     priors: ParameterPriors = NO_PRIORS  # Prior knowledge of the parameters
     time_step: int | None = None
     """Input that holds the time to the next sample; None for one sampling time."""
+    memory: tuple[int, ...] = ()
+    """Samples in the buffer of each delay of the equations; () before the records are known."""
     shown: tuple[tuple[int, int], ...] | None = None
     """`measured_states` where the observation has been changed."""
 

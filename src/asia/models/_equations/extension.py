@@ -12,7 +12,7 @@ import numpy as np
 from asia.data.trajectory import Array
 from asia.models._equations.additions import KNOTS, LENGTH, Extension, formula, substituted, total
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.ode import Equations, functions
+from asia.models._equations.ode import Equations, functions, of_node
 from asia.models._equations.starts import RecordSegments
 from asia.problem.physics import (
     Binary,
@@ -241,13 +241,23 @@ class _Builder:
                 ),
                 parameters=(*system.parameters, *learned.names, *spans, *rates),
                 definitions=(),
-                dynamics=tuple(_expression(node) for node in dynamics),
-                observation=tuple(_expression(node) for node in observation),
+                dynamics=tuple(of_node(node) for node in dynamics),
+                observation=tuple(of_node(node) for node in observation),
+                rest=tuple(of_node(_inlined(system, e)) for e in system.rest),
+                delays=tuple(
+                    replace(
+                        one,
+                        value=_inlined(system, of_node(one.value)),
+                        flow=_inlined(system, of_node(one.flow)),
+                        volume=_inlined(system, of_node(one.volume)),
+                    )
+                    for one in system.delays
+                ),
             ),
             low=(*structure.low, *(-math.inf,) * free, *(-b for b in bound)),
             high=(*structure.high, *(math.inf,) * free, *bound),
             learned=learned,
-            problem_states=len(system.states),
+            problem_states=structure.nx_own,
             shown=tuple(shown.items()),
         )
 
@@ -300,10 +310,6 @@ def _range(values: Array) -> tuple[float, float]:
     """Lowest and highest value, never equal."""
     low, high = float(values.min()), float(values.max())
     return low, high if high > low else low + 1.0
-
-
-def _expression(node: Node) -> Expression:
-    return Expression("", node, names_in(node))
 
 
 def _inlined(system: Equations, e: Expression) -> Node:

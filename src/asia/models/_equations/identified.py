@@ -11,6 +11,7 @@ import numpy as np
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array
 from asia.models import uncertainty
+from asia.models._equations.additions import substituted
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.fit import FittedEquations
 from asia.models._equations.simulate import Effects, Scales
@@ -18,7 +19,7 @@ from asia.models._equations.simulation_error import SimulationError
 from asia.models._equations.starts import RecordSegments, Starts
 from asia.models._least_squares import TRIALS
 from asia.models._noise.model import ErrorWeighting
-from asia.problem.physics import Binary, Call, Name, Negative, Node, Number
+from asia.problem.physics import Binary, Call, Expression, Name, Negative, Node, Number
 
 # Estimates of the parameters of a trained grey-box, with their uncertainty.
 
@@ -109,12 +110,19 @@ def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects)
     values = dict(system.constants) | {
         name: float(v) for name, v in zip(system.parameters, effect.parameters, strict=True)
     }
-    lines = [f"{name} = {text(e.root, values)}" for name, e in system.definitions]
+    delayed: dict[str, Node] = {}
+    for one in system.delays:
+        delayed[one.name] = substituted(one.call, delayed)
+
+    def right(e: Expression) -> str:
+        return text(substituted(e.root, delayed), values)
+
+    lines = [f"{name} = {right(e)}" for name, e in system.definitions]
     for i, (name, e) in enumerate(zip(system.states, system.dynamics, strict=True)):
         added = _added(structure, scales, effect, i) if i < structure.nx_own else ""
-        lines.append(f"d({name})/dt = {text(e.root, values)}{added}")
+        lines.append(f"d({name})/dt = {right(e)}{added}")
     for i, (name, e) in enumerate(zip(system.outputs, system.observation, strict=True)):
-        shown = text(e.root, values)
+        shown = right(e)
         offset = float(effect.output_offset[i])
         if shown != name or offset:
             lines.append(f"{name} = {shown}{signed(offset) if offset else ''}")

@@ -22,6 +22,7 @@ from asia.models._equations.simulate import (
     sample_by_sample,
     simulate,
 )
+from asia.models._equations.transport import advance_buffer, empty_buffer
 from asia.models._least_squares import (
     LevenbergMarquardt,
     NormalEquations,
@@ -91,21 +92,25 @@ class CaseSteps:
         return sample_by_sample(self.structure, self.scales, self.effect)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """States (B, nx) at the first sample, and the inputs (B, held, nu) in the delay."""
+        """States (B, nx) at the first sample, the inputs (B, held, nu) in the delay, and the buffer
+        (B, L, n) of the delays in the equations."""
         x, inputs = case_start(self.structure, self.scales, self.prior, self.z, past_u, past_y, u)
         inputs = inputs.transpose(0, 2, 1)
         first = inputs[0] if len(inputs) else u
         confine, _ = self._moves
         held = int(np.ceil(self.late).max(initial=0))
         line = namespace(u).repeat(first[:, None], held, axis=1)
-        state = confine(x[:, None])[:, 0].T, line
+        now = confine(x[:, None])
+        with np.errstate(all="ignore"):
+            buffer = empty_buffer(self.structure, self.effect.parameters, now, first.T[:, None])
+        state = now[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)
         for past in inputs:
             state, _ = self.step(state, past)
         return state
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
         """Advance by one sample: the output is read before the states move."""
-        x, line = state
+        x, line, buffer = state
         acting = u
         if line.shape[1]:
             known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
@@ -117,9 +122,16 @@ class CaseSteps:
             acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
         held, now = acting.T[:, None], x.T[:, None]
         with np.errstate(all="ignore"):
+            buffer, held = advance_buffer(
+                self.structure,
+                self.effect.parameters,
+                buffer.transpose(1, 2, 0)[:, :, None],
+                now,
+                held,
+            )
             after = self._moves[1](now, held)
             y = outputs(self.structure, self.effect, now[None], held[None])
-        return (after[:, 0].T, line), y[0, :, 0].T
+        return (after[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)), y[0, :, 0].T
 
 
 def case_start(

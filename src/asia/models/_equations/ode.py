@@ -12,6 +12,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 
 from asia.models._arrays import AnyArray, namespace, rows, sigmoid, softplus
+from asia.problem.memory import LEAST_TIME, TransportDelay, expanded
 from asia.problem.physics import (
     Binary,
     Call,
@@ -22,12 +23,12 @@ from asia.problem.physics import (
     Number,
     Physics,
     check_physics,
-    definition_order,
-    parse_expression,
+    names_in,
 )
 
 Derivative: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
 """d/dt (nx, ...) of x (nx, ...) with u (nu, ...)."""
+_Request: TypeAlias = "str | tuple[str, ...] | tuple[int, int]"
 Evaluator: TypeAlias = Callable[[AnyArray, AnyArray, AnyArray], AnyArray]
 """Values (n, ...) from parameters (np, ...), x (nx, ...) and u (nu, ...)."""
 
@@ -102,6 +103,12 @@ class Equations:
     """Names and expressions of the definitions, each after those it uses."""
     dynamics: tuple[Expression, ...]  # d/dt of each state
     observation: tuple[Expression, ...]  # Expression of each output
+    rest: tuple[Expression, ...] = ()
+    """Value at rest of each hidden state of a lag; these states come last."""
+    delays: tuple[TransportDelay, ...] = ()
+    """Transport delays, each after those it reads, first those that read no state. Their signals
+    follow the inputs in u."""
+    driven: int = 0  # Number of delays that read no state
 
     def __hash__(self) -> int:
         # A hash of all expressions would cost more than a step of a simulation.
@@ -116,6 +123,18 @@ class Equations:
         """Outputs (ny, ...), from parameters (np, ...), states x (nx, ...) and inputs u (nu,
         ...)."""
         return self._values("observation", parameters, x, u)
+
+    def passage(
+        self, k: int, parameters: AnyArray, x: AnyArray, u: AnyArray
+    ) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """Signal that enters delay k, flow and volume, each (...)."""
+        # Separate arrays, so that a constant volume stays a constant in a lowered program.
+        value, flow, volume = (self._values((k, i), parameters, x, u)[0] for i in range(3))
+        return value, flow, volume
+
+    def at_rest(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
+        """Values at rest (n, ...) of the hidden states of lags."""
+        return self._values("rest", parameters, x, u)
 
     def named(
         self, names: tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
@@ -135,29 +154,31 @@ class Equations:
         return frozenset(found)
 
     def _values(
-        self, requested: str | tuple[str, ...], parameters: AnyArray, x: AnyArray, u: AnyArray
+        self, requested: _Request, parameters: AnyArray, x: AnyArray, u: AnyArray
     ) -> AnyArray:
         xp = namespace(parameters, x, u)
         return _evaluator(self, requested, xp, np.dtype(x.dtype))(parameters, x, u)
 
 
 @lru_cache(maxsize=256)
-def _evaluator(
-    system: Equations, requested: str | tuple[str, ...], xp: Any, dtype: np.dtype[Any]
-) -> Evaluator:
-    """Compile a Python function of a field's expressions, or of names.
+def _evaluator(system: Equations, requested: _Request, xp: Any, dtype: np.dtype[Any]) -> Evaluator:
+    """Compile a Python function of a field's expressions, of a delay's, or of names.
 
     Its source holds nothing of the user's text: every name becomes a numbered variable, and the
     tree knows only numbers, + - * / ** and the functions of the table.
     """
     if isinstance(requested, str):
         expressions: tuple[Expression, ...] = getattr(system, requested)
+    elif len(requested) == 2 and isinstance(requested[0], int):
+        one = system.delays[requested[0]]
+        expressions = (of_node((one.value, one.flow, one.volume)[requested[1]]),)
     else:
         expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in requested)
     source, needed = _Source({}), frozenset[str]().union(*(system.closure(e) for e in expressions))
     for i, (name, _) in enumerate(system.constants):
         source.places[name] = f"c_{i}"
-    for group, names in (("p", system.parameters), ("u", system.inputs), ("x", system.states)):
+    signals = (*system.inputs, *(one.name for one in system.delays))
+    for group, names in (("p", system.parameters), ("u", signals), ("x", system.states)):
         for i, name in enumerate(names):
             if name in needed:
                 source.places[name] = source.line(f"{group}[{i}]")
@@ -239,24 +260,30 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
         UserError: if they do not fit.
     """
     check_physics(physics, inputs, outputs)
-
-    def parsed(section: str, name: str, text: str) -> Expression:
-        return parse_expression(text, f"[physics.{section}] {name}")
-
+    found = expanded(physics, outputs)
     return Equations(
-        states=physics.states,
+        states=found.states,
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         parameters=tuple(physics.parameters),
         # Corrections are 0 without their learned values.
-        constants=(*physics.constants.items(), *((name, 0.0) for name in physics.corrections)),
-        definitions=tuple(
-            (name, parsed("definitions", name, physics.definitions[name]))
-            for name in definition_order(physics)
+        constants=(
+            *physics.constants.items(),
+            *((name, 0.0) for name in physics.corrections),
+            *([(LEAST_TIME, 0.0)] if found.rest else []),
         ),
-        dynamics=tuple(parsed("dynamics", s, physics.dynamics[s]) for s in physics.states),
-        observation=tuple(parsed("observation", o, physics.observation.get(o, o)) for o in outputs),
+        definitions=tuple((name, of_node(node)) for name, node in found.definitions),
+        dynamics=tuple(of_node(node) for node in found.dynamics),
+        observation=tuple(of_node(node) for node in found.observation),
+        rest=tuple(of_node(node) for node in found.rest),
+        delays=found.delays,
+        driven=found.driven,
     )
+
+
+def of_node(node: Node) -> Expression:
+    """Expression of a tree."""
+    return Expression("", node, names_in(node))
 
 
 def runge_kutta(derivative: Derivative, x: AnyArray, u: AnyArray, step: AnyArray) -> AnyArray:

@@ -12,7 +12,14 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.simulate import Scales, delayed, effects, outputs, simulate_states
+from asia.models._equations.simulate import (
+    Scales,
+    acting,
+    effects,
+    joined,
+    outputs,
+    simulate_states,
+)
 
 # Greatest number of states in the result of one call.
 _MOST_VALUES = 1_000_000
@@ -53,10 +60,11 @@ class CompiledSimulator:
             rows = np.arange(some.start, some.start + self._rows).clip(max=len(z) - 1)
             own, start = scales.of_rows(rows), x0[rows][:, columns].transpose(2, 0, 1)
             effect = effects(structure, own, np.ascontiguousarray(z[rows].T))
-            held = delayed(structure, effect.delay, self._u[:, :, columns])
+            held = acting(structure, effect, self._u[:, :, columns])
             with jax.enable_x64(True):
-                states = np.asarray(self._program(own, effect, start, held))
-            y = outputs(structure, effect, states, held)
+                found_states, late = self._program(own, effect, start, held)
+            states, late = np.asarray(found_states), None if late is None else np.asarray(late)
+            y = outputs(structure, effect, states, joined(held, late))
             kept = slice(some.stop - some.start), slice(part.stop - part.start)
             found.append((y.transpose(2, 3, 0, 1)[kept], states.transpose(2, 3, 0, 1)[kept]))
         y, x = (np.concatenate(values) for values in zip(*found, strict=True))

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from asia.models._arrays import AnyArray, namespace, repeated, rows, scan
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import Derivative, runge_kutta
+from asia.models._equations.transport import (
+    advance_buffer,
+    along_record,
+    constant_flow,
+    empty_buffer,
+)
 from asia.problem.physics import ParameterRange
 
 Step: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
@@ -134,16 +140,7 @@ def delayed(structure: GreyBoxStructure, delay: AnyArray, u: AnyArray) -> AnyArr
     structure has no delay; the first sample is held before it."""
     if not structure.config.input_delay:
         return u[:, :, None]
-    xp = namespace(delay)
-    position = np.arange(u.shape[0])[:, None, None] - delay
-    floor = xp.floor(position)
-    channel = np.arange(u.shape[1])[:, None]
-
-    def sample(place: AnyArray) -> AnyArray:
-        return u[xp.minimum(xp.maximum(place, 0), u.shape[0] - 1).astype(int), channel]
-
-    later = (position - floor)[..., None]
-    return (1.0 - later) * sample(floor) + later * sample(floor + 1)
+    return constant_flow(u[:, :, None], delay[..., None], len(u))
 
 
 def simulate(
@@ -152,17 +149,45 @@ def simulate(
     """Simulate a grey-box with coordinates z (size, R) from states x0 (nx, R, S) at the first
     sample of u (T, nu, S): outputs (T, ny, R, S) and states (T, nx, R, S)."""
     effect = effects(structure, scales, z)
+    held = acting(structure, effect, u)
+    states, late = simulate_states(structure, scales, effect, x0, held)
+    return outputs(structure, effect, states, joined(held, late)), states
+
+
+def acting(structure: GreyBoxStructure, effect: Effects, u: AnyArray) -> AnyArray:
+    """Inputs (T, nu + n, R, S) as they act, from u (T, nu, S): delayed, and in NumPy followed by
+    the n delayed signals of the equations that depend on no state."""
     held = delayed(structure, effect.delay, u)
-    states = simulate_states(structure, scales, effect, x0, held)
-    return outputs(structure, effect, states, held), states
+    if namespace(held, effect.parameters) is not np:
+        return held
+    return along_record(structure, effect.parameters, held)[0]
 
 
 def simulate_states(
     structure: GreyBoxStructure, scales: Scales, effect: Effects, x0: AnyArray, held: AnyArray
-) -> AnyArray:
-    """States (T, nx, R, S) from x0 (nx, R, S), with the inputs of `delayed`."""
+) -> tuple[AnyArray, AnyArray | None]:
+    """States (T, nx, R, S) from x0 (nx, R, S), with the inputs of `acting`, and the delayed signals
+    (T, m, R, S) that these lack, None where there is none."""
     confine, advance = sample_by_sample(structure, scales, effect)
-    return scan(lambda x, v: (advance(x, v), x), confine(x0), held)[1]
+    x0, known = confine(x0), held.shape[1]
+    if known == structure.nu + len(structure.equations.delays):
+        return scan(lambda x, v: (advance(x, v), x), x0, held)[1], None
+
+    def step(state: tuple[AnyArray, AnyArray], v: AnyArray) -> Any:
+        line, v = advance_buffer(structure, effect.parameters, state[1], state[0], v)
+        return (advance(state[0], v), line), (state[0], v[known:])
+
+    line = empty_buffer(structure, effect.parameters, x0, held[0])
+    return scan(step, (x0, line), held)[1]
+
+
+def joined(held: AnyArray, late: AnyArray | None) -> AnyArray:
+    """Inputs with all delayed signals, from the results of `acting` and `simulate_states`."""
+    if late is None:
+        return held
+    xp = namespace(held, late)
+    held = xp.broadcast_to(held, (*held.shape[:2], *late.shape[2:]))
+    return xp.concatenate([held, late], axis=1)
 
 
 def sample_by_sample(
@@ -192,7 +217,7 @@ def sample_by_sample(
 def outputs(
     structure: GreyBoxStructure, effect: Effects, states: AnyArray, held: AnyArray
 ) -> AnyArray:
-    """Outputs (T, ny, R, S) at states (T, nx, R, S) with the inputs of `delayed`."""
+    """Outputs (T, ny, R, S) at states (T, nx, R, S) with the inputs of `joined`."""
     xp = namespace(states)
     parameters = effect.parameters[..., None]
     y = structure.equations.observe(parameters, xp.swapaxes(states, 0, 1), xp.swapaxes(held, 0, 1))
@@ -210,7 +235,7 @@ def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) ->
     own, lags = structure.nx_own, structure.nx - structure.nx_own
 
     def derivative(x: AnyArray, u: AnyArray) -> AnyArray:
-        drive = (u - wide.u_center) / wide.u_scale
+        drive = (u[: structure.nu] - wide.u_center) / wide.u_scale
         if drive.shape[1:] != x.shape[1:]:
             drive = xp.broadcast_to(drive, (len(drive), *x.shape[1:]))
         signals = xp.concatenate([((x - wide.x_center) / wide.x_scale)[:own], drive])

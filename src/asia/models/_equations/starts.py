@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Trajectory
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.simulate import Scales, WindowPrior
+from asia.models._equations.simulate import Scales, WindowPrior, physical_parameters
+from asia.models._equations.transport import along_record
 from asia.models._least_squares import Minimum
 from asia.models._numerics.training_records import measured_weight, rows, side_by_side, spread
 
@@ -32,6 +34,8 @@ _MOST_WORK, _MEASURED_WINDOWS = 2e9, (60, 400)
 _SPREAD_OF_PARAMETERS = 0.3
 # Limit beyond any state in any unit, whose sums of squares are still finite.
 _OPEN = 1e100
+# Parameters drawn for the length of a buffer, and values of a signal for them.
+_DRAWN_DELAYS, _MOST_DRAWN_DELAYS = 64, 500_000
 # Ratio to the median amplitude at which a start has diverged.
 _RUNAWAY = 1e6
 
@@ -87,6 +91,33 @@ def cut_segments(
     counts = side_by_side([measured_weight(t) for t in cuts])
     noisy = counts * (np.arange(counts.shape[1]) >= structure.states_measured)[:, None]
     return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts, noisy)
+
+
+def with_memory(
+    structure: GreyBoxStructure, segments: RecordSegments, z: Array | None = None
+) -> GreyBoxStructure:
+    """Choose how many samples the buffers of delays hold: for coordinates z (size,), or before a
+    fit for the ranges of the parameters, where a signal of a state is delayed."""
+    system = structure.equations
+    if len(system.delays) == (system.driven if z is None else 0):
+        return structure
+    u = segments.u.transpose(1, 2, 0)[:, :, None]
+    count = int(np.clip(_MOST_DRAWN_DELAYS // u[:, 0].size, 2, _DRAWN_DELAYS))
+    shape = (len(structure.ranges), count)
+    own = np.random.default_rng(0).uniform(-1.0, 1.0, shape)
+    if z is not None:
+        own = z[structure.layout.parameters, None]
+    with np.errstate(all="ignore"):
+        parameters = physical_parameters(structure.ranges, own)
+        x = np.zeros((structure.nx, len(u), own.shape[1], u.shape[3]))
+        free = replace(structure, memory=())
+        found, needed = along_record(free, parameters, u, x)
+        hidden = slice(structure.nx_own, structure.nx_own + len(system.rest))
+        # A lag at rest follows its signal, which can be that of another one.
+        for _ in system.rest:
+            x[hidden] = system.at_rest(parameters[..., None], x, found.swapaxes(0, 1))
+            found, needed = along_record(free, parameters, u, x)
+    return replace(structure, memory=needed)
 
 
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:

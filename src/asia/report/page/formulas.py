@@ -40,7 +40,7 @@ def equations(physics: Physics) -> tuple[tuple[str, Markup], ...]:
     rows += [("output", symbol(name), text) for name, text in physics.observation.items()]
     found: list[tuple[str, Markup]] = []
     for kind, left, text in rows:
-        right = formula(parse_expression(text, "physics"))
+        right = formula(parse_expression(text, "physics", memory=True))
         line = _tag("mrow", left, _tag("mo", "="), right)
         found.append((kind, _tag("math", line, display="block")))
     return tuple(found)

@@ -8,7 +8,7 @@ import sympy
 from matplotlib.figure import Figure
 from sympy.printing.latex import greek_letters_set, latex
 
-from asia.problem.physics import Physics, parse_expression
+from asia.problem.physics import MEMORY, Physics, parse_expression
 from asia.report.drawing.style import INK, QUIET, picture_width
 
 _SHORT_NAME = re.compile(r"[A-Za-z]{1,2}\d*(_\w{1,3})?")
@@ -36,7 +36,10 @@ _KNOWN = [
 ]
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{name: getattr(sympy, _RENAMED.get(name, name)) for name in _KNOWN},
-    **{name: sympy.Function(name) for name in ("sigmoid", "softplus", "min", "max", "clip")},
+    **{
+        name: sympy.Function(name)
+        for name in ("sigmoid", "softplus", "min", "max", "clip", *MEMORY)
+    },
 }
 
 
@@ -70,7 +73,7 @@ def typeset(text: str) -> str:
     """Convert a physics expression to LaTeX, with terms and factors in the order of the problem
     file.
     """
-    expression = parse_expression(text, "physics")
+    expression = parse_expression(text, "physics", memory=True)
     values = {name: sympy.Symbol(name) for name in expression.names}
     with sympy.evaluate(False):
         formula = _flat(sympy.sympify(expression.evaluate(values, _FUNCTIONS)))

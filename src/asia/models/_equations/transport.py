@@ -1,0 +1,215 @@
+"""Delayed signals of equations: whole records at once, and sample by sample from a buffer.
+
+A sample is a parcel: the volume that enters while it is held. What leaves during a step is the mean
+over the volume that the step displaces, so that a constant delay interpolates linearly between
+samples, and what enters is what leaves. Before the first sample its value is held.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data.trajectory import Array
+from asia.models._arrays import AnyArray, namespace
+from asia.models._equations.config import GreyBoxStructure
+from asia.problem.memory import TransportDelay
+
+# Least width of the volume that leaves, relative to the volume it flows through: with no flow a
+# value stays in place.
+_LEAST, _TINY = 1e-6, 1e-300
+# Length of a buffer, in longest delays of the records, where the delay varies.
+_SPARE = 2
+
+
+def constant_flow(value: AnyArray, delay: AnyArray, length: int) -> AnyArray:
+    """Delay values (T, ...) by `delay` (T or 1, ...) samples, up to those of a buffer of `length`
+    samples; linear between samples."""
+    xp = namespace(value, delay)
+    last = len(value) - 1
+    now = np.arange(len(value)).reshape(-1, *(1,) * (value.ndim - 1))
+    delay = xp.minimum(xp.maximum(delay, 0.0), length - 1.0)
+    position = xp.maximum(now - xp.where(delay >= 0, delay, 0.0), 0.0)
+    shape = np.broadcast_shapes(value.shape, position.shape)
+    value, position = xp.broadcast_to(value, shape), xp.broadcast_to(position, shape)
+    older = xp.floor(position)
+    index = older.astype(int)
+    later = position - older
+    before = xp.take_along_axis(value, index, axis=0)
+    after = xp.take_along_axis(value, xp.minimum(index + 1, last), axis=0)
+    return (1.0 - later) * before + later * after
+
+
+def varying_flow(
+    one: TransportDelay, value: Array, entering: Array, volume: Array, length: int
+) -> tuple[Array, int]:
+    """Signal (T, ...) behind a volume (T, ...), from the value and the volume that enter in each
+    sample (T, ...); `length` is the number of samples in the buffer.
+
+    Returns:
+        The delayed signal, and the number of samples that an unlimited buffer would hold.
+    """
+    samples, shape = len(value), value.shape[1:]
+    value, entering, volume = (a.reshape(samples, -1) for a in (value, entering, volume))
+    zeros = np.zeros((1, value.shape[1]))
+    first = value[:1]
+    deviation = value - first
+    edges = np.concatenate([zeros, np.cumsum(entering, axis=0)])
+    content = np.concatenate([zeros, np.cumsum(deviation * entering, axis=0)])
+    volume, width = _interval(one, volume, entering)
+    near = edges[1:] - volume
+    far = near - width
+    now, columns = np.arange(samples)[:, None], np.arange(value.shape[1])
+    # Each column is searched in an interval of its own.
+    size = np.maximum(edges[-1], _TINY)
+    known = (edges / size + 2.0 * columns).T.ravel()
+
+    def parcel(place: Array) -> NDArray[np.intp]:
+        """Parcel at a place, -1 before the first one."""
+        sought = np.nan_to_num(np.clip(place / size, -0.5, 1.0)) + 2.0 * columns
+        index = np.searchsorted(known, sought.T.ravel(), side="right").reshape(-1, samples).T
+        return np.minimum(index - 1 - (samples + 1) * columns, now)
+
+    def amount(place: Array, index: NDArray[np.intp]) -> Array:
+        """Integral of the deviation over the volume from the first parcel to a place."""
+        kept = np.maximum(index, np.maximum(now + 1 - length, 0))
+        return content[kept, columns] + deviation[kept, columns] * (place - edges[kept, columns])
+
+    last = parcel(far)
+    delayed = first + (amount(near, parcel(near)) - amount(far, last)) / width
+    return delayed.reshape(samples, *shape), int((now - last).max(initial=0)) + 2
+
+
+def _interval(
+    one: TransportDelay, volume: AnyArray, entering: AnyArray
+) -> tuple[AnyArray, AnyArray]:
+    """Depth and width of the volume whose mean is the signal, measured from the inlet at the end of
+    a step: what leaves in the step, or all that is inside."""
+    xp = namespace(volume, entering)
+    volume = xp.maximum(volume, 0.0)
+    if one.mean:
+        return (0.5 if one.ahead else 1.0) * entering, xp.maximum(volume, _LEAST * entering) + _TINY
+    width = xp.maximum(entering, _LEAST * volume) + _TINY
+    return (xp.maximum(volume - 0.5 * width, 0.0) if one.ahead else volume), width
+
+
+def buffered(
+    one: TransportDelay, past: AnyArray, value: AnyArray, depth: AnyArray, volume: AnyArray,
+    entering: AnyArray,
+) -> AnyArray:  # fmt: skip
+    """Signal (...) behind a volume (...), from past values (L - 1, ...), oldest first, this one
+    (...), and the volume (L, ...) that entered after each of them."""
+    xp = namespace(past, value, depth)
+    volume, width = _interval(one, volume, entering)
+    shape = np.broadcast_shapes(past.shape[1:], value.shape, depth.shape[1:], volume.shape)
+    share = xp.minimum(xp.maximum((depth - volume) / width, 0.0), 1.0)
+    share = xp.broadcast_to(share, (len(depth), *shape))
+    # The oldest value is held before it.
+    before = xp.concatenate([xp.ones((1, *shape), share.dtype), share[:-1]])
+    known = xp.concatenate(
+        [xp.broadcast_to(past, (len(past), *shape)), xp.broadcast_to(value, (1, *shape))]
+    )
+    return (known * (before - share)).sum(axis=0)
+
+
+# Delays of the equations in a simulation.
+
+
+def _is_uniform(structure: GreyBoxStructure, one: TransportDelay) -> bool:
+    return one.uniform and structure.time_step is None
+
+
+def _entering(structure: GreyBoxStructure, flow: AnyArray, u: AnyArray) -> AnyArray:
+    """Volume that enters in a sample, from the flow (...) and inputs u (nu, ...)."""
+    xp, time = namespace(flow, u), structure.sampling_time
+    if structure.time_step is not None:
+        time = xp.maximum(u[structure.time_step], 0.0)
+    return xp.maximum(flow, 0.0) * time
+
+
+def along_record(
+    structure: GreyBoxStructure, parameters: Array, u: Array, x: Array | None = None
+) -> tuple[Array, tuple[int, ...]]:
+    """Append the signals of delays to inputs u (T, nu, R, S), with parameters (np, R): those that
+    read no state, and with states x (nx, T, R, S) all.
+
+    Returns:
+        u (T, nu + n, R, S), and the number of samples that the buffer of each delay should hold.
+    """
+    system, needed = structure.equations, list[int]()
+    every = system.delays if x is not None else system.delays[: system.driven]
+    if not every:
+        return u, ()
+    shape = (len(u), max(u.shape[2], parameters.shape[1]), u.shape[3])
+    rows = list(np.broadcast_to(u.swapaxes(0, 1), (u.shape[1], *shape)))
+    states = np.zeros((0, *shape)) if x is None else x
+    for k, one in enumerate(every):
+        known = np.array(rows)
+        value, flow, volume = system.passage(k, parameters[..., None], states, known)
+        entering = _entering(structure, flow, known)
+        length = structure.memory[k] if structure.memory else len(u)
+        if _is_uniform(structure, one):
+            delay = volume / entering - 0.5 * one.ahead
+            rows.append(constant_flow(value, delay, length))
+            delay = np.nan_to_num(delay, nan=0.0)
+            varies = (delay[0] != delay).any()
+            longest = int(np.ceil(np.clip(delay.max(initial=0.0), 0.0, len(u)))) + 2
+        else:
+            found, longest = varying_flow(one, value, entering, volume, length)
+            rows.append(found)
+            varies = True
+        needed.append(min(_SPARE * longest if varies else longest, len(u) + 2))
+    return np.array(rows).swapaxes(0, 1), tuple(needed)
+
+
+def empty_buffer(
+    structure: GreyBoxStructure, parameters: AnyArray, x: AnyArray, u: AnyArray
+) -> AnyArray:
+    """Buffer (L - 1, columns, R, S) before a first sample whose values have always been held, of
+    the delays that the rows of u (nu + n, R, S) do not hold yet."""
+    system, xp = structure.equations, namespace(parameters, x, u)
+    first = len(u) - structure.nu
+    every = system.delays[first:]
+    shape = x.shape[1:]
+    u = xp.broadcast_to(u, (len(u), *shape))
+    length = max((structure.memory[k] for k in range(first, len(system.delays))), default=1)
+    made: list[AnyArray] = []
+    for k, one in enumerate(every, first):
+        value, _, _ = system.passage(k, parameters[..., None], x, u)
+        made.append(value)
+        if not _is_uniform(structure, one):
+            made.append(xp.zeros_like(value))
+        u = xp.concatenate([u, value[None]])
+    if not made:
+        return xp.zeros((0, 0, *shape))
+    return xp.repeat(xp.stack(made)[None], length - 1, axis=0)
+
+
+def advance_buffer(
+    structure: GreyBoxStructure, parameters: AnyArray, line: AnyArray, x: AnyArray, u: AnyArray
+) -> tuple[AnyArray, AnyArray]:
+    """Put a sample into a buffer: states x (nx, R, S), inputs u (nu + n, R, S) -> the buffer after
+    it, and the inputs with the signals of all delays (nu + m, R, S)."""
+    system, xp = structure.equations, namespace(parameters, line, x, u)
+    shape, first = x.shape[1:], len(u) - structure.nu
+    u = xp.broadcast_to(u, (len(u), *shape))
+    kept: list[AnyArray] = []
+    place = 0
+    for k in range(first, len(system.delays)):
+        one, length = system.delays[k], structure.memory[k]
+        value, flow, volume = system.passage(k, parameters[..., None], x, u)
+        past = line[len(line) - length + 1 :, place]
+        kept.append(xp.concatenate([line[:, place], value[None]]))
+        entering = _entering(structure, flow, u)
+        if _is_uniform(structure, one):
+            depth = np.arange(length - 1.0, -1.0, -1.0)[:, None, None] * entering
+            place += 1
+        else:
+            grown = xp.concatenate([line[:, place + 1] + entering, xp.zeros((1, *shape))])
+            kept.append(grown)
+            depth = grown[len(grown) - length :]
+            place += 2
+        found = buffered(one, past, value, depth, volume, entering)
+        u = xp.concatenate([u, found[None]])
+    after = xp.stack(kept, axis=1)[1:] if kept else line
+    return after, u
