@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from asia.candidate import Context
 from asia.data.trajectory import Signal, Trajectory
-from asia.models._equations.ode import equations
+from asia.models import greybox
+from asia.models._equations.transport import along_record
 from asia.plants.catalogue import Plant
 
 _FINE = 8
@@ -23,7 +25,10 @@ def example_record(
     """
     rng = np.random.default_rng(seed)
     entry, physics = plant.entry, plant.example()
-    system = equations(physics, list(entry.inputs), list(entry.outputs))
+    inputs, outputs = example_signals(plant)
+    context = Context(inputs, outputs, 1.0, 1, 1, physics=physics)
+    structure = greybox.build(greybox.Config(substeps=_FINE), context).structure
+    system = structure.equations
     steps = rng.uniform(-1.7, 1.7, (samples // 10 + 1, len(entry.inputs)))
     size = np.array([role.example for role in entry.inputs.values()])
     u = np.repeat(size[:, 0] + size[:, 1] * steps, 10, axis=0)[:samples]
@@ -33,14 +38,15 @@ def example_record(
     least = np.array([-np.inf if one is None else one for one in low])
     x = np.array([entry.start.get(s, 0.0) for s in physics.states])
     rates, y = system.rates(np), np.zeros((samples, len(entry.outputs)))
+    # Delays of inputs follow the inputs.
+    seen = along_record(structure, p[:, None], u[:, :, None, None])[0][..., 0, 0]
     for k in range(samples):
-        y[k] = system.observe(p[:, None], x[:, None], u[k][:, None])[:, 0]
+        now = seen[k][:, None]
+        y[k] = system.observe(p[:, None], x[:, None], now)[:, 0]
         for _ in range(_FINE):
-            one = rates(p[:, None], x[:, None], u[k][:, None])[:, 0]
+            one = rates(p[:, None], x[:, None], now)[:, 0]
             middle = np.maximum(x + one / (2 * _FINE), least)
-            x = np.maximum(
-                x + rates(p[:, None], middle[:, None], u[k][:, None])[:, 0] / _FINE, least
-            )
+            x = np.maximum(x + rates(p[:, None], middle[:, None], now)[:, 0] / _FINE, least)
     y = y + noise * y.std(axis=0) * rng.standard_normal(y.shape)
     return Trajectory(u, y, 1.0, plant.name)
 

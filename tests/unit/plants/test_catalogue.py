@@ -56,7 +56,7 @@ def test_equations_follow_the_units_of_the_records(plant: Plant) -> None:
     assert read_physics(written_physics(found[1])) == found[1]
 
 
-@pytest.mark.parametrize("name", ["tank", "cstr"])
+@pytest.mark.parametrize("name", ["tank", "plug_flow_exchanger"])
 def test_an_example_is_fitted(name: str) -> None:
     method = LevenbergMarquardt(iterations=10, starts=4)
     assert relative_error(catalogue()[name], 100, method) < 0.2
