@@ -17,7 +17,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # pytest keeps what it compiles of the tests: eight seconds for each worker.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all test-long lint docs tutorial picture format clean
+.PHONY: demo test test-all test-long lint docs tutorial plants picture format clean
 
 .venv/ready: pyproject.toml
 	@echo 'Installing ASIA and its libraries into .venv: about a minute, longer on a slow connection'
@@ -68,6 +68,10 @@ docs: .venv/ready-docs
 # The outputs that the tutorial shows, from a run of its commands: about ten minutes.
 tutorial: .venv/ready
 	$(BIN)/python docs/site/tutorial.py
+
+# The table in docs/plants.md.
+plants: .venv/ready
+	$(BIN)/python docs/site/plants.py
 
 # The picture of README.md, from the measured data.
 picture: .venv/ready

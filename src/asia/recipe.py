@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -188,6 +189,18 @@ def read_recipe(source: str) -> Recipe | None:
     return found if same else None
 
 
+EQUATIONS = "equations"
+"""Name of a variant, before the number of its equations."""
+
+
+def with_chosen_equations(recipe: Recipe, variant: str) -> Recipe:
+    """Return the recipe with the equations of a variant alone, where it brings several."""
+    texts, number = recipe.get("physics"), variant.removeprefix(f"{EQUATIONS} ")
+    if not isinstance(texts, tuple) or not number.isdigit():
+        return recipe
+    return recipe.configured(physics=(texts[int(number) - 1],))
+
+
 def _settings(tree: ast.Module, function: str) -> Arguments:
     """Keyword arguments of the one call of `function`. Raises ValueError for another number of
     calls, and for arguments that are no literals."""
@@ -210,6 +223,8 @@ def _literal(value: Value) -> str:
     if isinstance(value, tuple):
         items = [_literal(item) for item in value]
         return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+    if isinstance(value, str) and "\n" in value and not re.search(r"\\|'''|\'$", value):
+        return f"'''\\\n{value}'''"
     text = repr(value)
     plain = isinstance(value, str) and '"' not in value and "\\" not in text
     return f'"{text[1:-1]}"' if plain else text

@@ -31,7 +31,7 @@ from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments, with_memory
 from asia.models._least_squares import LevenbergMarquardt
 from asia.problem.memory import LEAST_TIME
-from asia.problem.physics import Bounds, ParameterRange, Physics, Prior
+from asia.problem.physics import Bounds, ParameterRange, Physics, Prior, check_physics
 
 __all__ = ["Bounds", "Config", "GreyBox", "ParameterRange", "Physics", "Prior", "build", "train"]
 
@@ -211,12 +211,19 @@ def build(config: Config, context: Context) -> GreyBox:
             for states that are not measured.
     """
     physics = context.physics
+    if config.physics:
+        from asia.problem.physics_text import read_physics
+
+        physics = read_physics(config.physics[0])
     if physics is None:
         raise ValueError(
-            "grey-box: the problem has no [physics]; give states and dynamics, or use a black-box "
-            "family"
+            "grey-box: the problem has no [physics]; give states and dynamics there or in "
+            "`Config.physics`, or use a black-box family"
         )
-    system = equations(physics, [s.name for s in context.inputs], [s.name for s in context.outputs])
+    inputs, outputs = ([s.name for s in group] for group in (context.inputs, context.outputs))
+    if config.physics:
+        check_physics(physics, inputs, outputs)
+    system = equations(physics, inputs, outputs)
     bounds = [physics.bounds.get(name, Bounds()) for name in system.states]
     # A shorter lag would make an explicit step unstable.
     least = 0.5 * context.sampling_time / config.substeps

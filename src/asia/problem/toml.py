@@ -41,28 +41,44 @@ def read_table(path: Path, schema: type[T]) -> T:
     Raises:
         UserError: at most three sentences
     """
+    try:
+        text = read_file(path, "name a problem file").decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from error
+    return parse_table(text, schema, path.name, str(path))
+
+
+def parse_table(text: str, schema: type[T], name: str, place: str = "") -> T:
+    """TOML checked against `schema`.
+
+    Args:
+        name: of the text, in messages
+        place: of the text, in messages on its syntax
+
+    Raises:
+        UserError: at most three sentences
+    """
+    place = place or name
 
     def refuse_date(value: object) -> NoReturn:
         raise UserError(f"{value} is a date or a time, which no key of a problem file takes")
 
     try:
-        raw = tomllib.loads(read_file(path, "name a problem file").decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path} is not UTF-8 text: save it as UTF-8") from error
+        raw = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not valid TOML: {error}") from error
+        raise UserError(f"{place} is not valid TOML: {error}") from error
     try:
         # As JSON, where strictness takes a list for a tuple and a table for a dataclass.
-        text = json.dumps(raw, default=refuse_date)
+        content = json.dumps(raw, default=refuse_date)
     except RecursionError as error:
-        raise UserError(f"{path}: its tables are nested too deeply") from error
+        raise UserError(f"{place}: its tables are nested too deeply") from error
     try:
-        return TypeAdapter(schema).validate_json(text)
+        return TypeAdapter(schema).validate_json(content)
     except ValidationError as error:
         sentences = [_sentence(e, schema) for e in error.errors(include_url=False)]
         if len(sentences) > 3:
             sentences[3:] = [f"and {len(sentences) - 3} more"]
-        raise UserError(f"{path.name}: {'; '.join(sentences)}") from error
+        raise UserError(f"{name}: {'; '.join(sentences)}") from error
 
 
 def _sentence(error: ErrorDetails, schema: type) -> str:

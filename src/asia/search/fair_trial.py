@@ -29,6 +29,7 @@ from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView
+from asia.recipe import EQUATIONS, with_chosen_equations
 
 _Key = TypeVar("_Key")
 PROPOSED = "as proposed"
@@ -81,7 +82,10 @@ def choice(
     """Sources of the variants of a candidate, and their comparison; the arguments as for
     `variants_of`."""
     sources = variants_of(source, begins, fair=fair)
-    variants = compared(evaluator, sources) if sources and evaluator.data.inner_folds else ()
+    # Equations come in no order.
+    whole = any(name.startswith(EQUATIONS) for name in sources)
+    possible = sources and evaluator.data.inner_folds
+    variants = compared(evaluator, sources, whole=whole) if possible else ()
     if any(v.error and v.behind <= v.deviation and v.name not in begins for v in variants):
         finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
         if finer.keys() - sources.keys():
@@ -138,7 +142,8 @@ def variants_of(
     nothing open, or is no recipe of the library.
 
     Args:
-        begins: the simplest variant, of all families but those that are built on equations
+        begins: the simplest variant, of all families but those that are built on equations of the
+            problem
         fair: whether it is compared with that even if it leaves nothing open
         values: of the path, None for those of the family
     """
@@ -146,7 +151,14 @@ def variants_of(
     if known is None:
         return {}
     recipe, row = known
-    found = {} if row.kind == "equations" else dict(begins)
+    equations = recipe.get("physics")
+    # Equations of the user's own are tried all the same.
+    found = {} if row.kind == "equations" and not equations else dict(begins)
+    if isinstance(equations, tuple) and len(equations) > 1:
+        for number in range(1, len(equations) + 1):
+            title = f"{EQUATIONS} {number}"
+            found[title] = with_chosen_equations(recipe, title).source(f"{row.label}, {title}")
+        return found
     if row.path is None or not row.path.is_open(recipe):
         own = any(source_digest(one) == source_digest(source) for one in begins.values())
         return {**found, PROPOSED: source} if fair and found and not own else {}

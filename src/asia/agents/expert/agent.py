@@ -1,6 +1,7 @@
 """The default agent: fair trials of model families, then forward selection of effects.
 
-1. Families of what the user gave, equations or a simulator, come first, then the ladder of families
+1. Families of what the user gave, equations or a simulator, come first, or else equations of at
+   most two plants that the problem looks like, then the ladder of families
    in the order of their aptness, for the first part of the budget. An effect that explains more
    than a third of the residual of a nonlinear model, or that the records show, interrupts it.
 2. Effects are added to the best candidate, by the share of the residual that they explain. One that
@@ -19,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
-from math import sqrt
+from math import inf, sqrt
 from statistics import fmean, stdev
 
 from asia.agents.control import propose_controller
@@ -37,6 +38,7 @@ from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import avoided, read_notes
 from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation, plain_title, title_of
+from asia.agents.library.plants import equations_of, likely_plants, usual_effects
 from asia.agents.library.registry import families, family
 from asia.agents.library.traits import traits
 from asia.agents.view import (
@@ -48,7 +50,8 @@ from asia.agents.view import (
     Running,
     Trial,
 )
-from asia.recipe import Recipe, read_recipe
+from asia.plants.recognition import Likeness
+from asia.recipe import Recipe, read_recipe, with_chosen_equations
 
 GIVEN = frozenset({"greybox", "physics_net", "simulator"})
 """Families of what the user gave, equations and a simulator."""
@@ -115,6 +118,7 @@ class ExpertAgent:
                 )
             else:
                 proposal = replace(proposal, hypothesis=f"{proposal.hypothesis} {wish.mark}")
+        remarks += lost_plants(view)
         if proposal is None:
             end = reason_to_end(view)
             if end is not None:
@@ -134,6 +138,7 @@ class ExpertAgent:
             )
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
+        remarks += [proposal.remark] if proposal.remark else []
         return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks), fair=True)
 
 
@@ -143,6 +148,8 @@ def _next(view: AgentView, unwanted: set[str]) -> Proposal | None:
         for options in (effects(view), untried(view))
     )
     given = [option for option in new if option.family in GIVEN]
+    if "greybox" not in unwanted:
+        given += recognised(view)
     shown = [
         option
         for option in found
@@ -174,6 +181,44 @@ def untried(view: AgentView) -> Iterator[Option]:
         yield Option(row.name, partial(_first, view, row, recipe), seconds, apt=apt)
 
 
+def recognised(view: AgentView) -> Iterator[Option]:
+    """Equations of the plants that the problem looks like, where the user gave none."""
+    facts, row = view.facts, family("greybox")
+    if row is None or {"physics", "plant", "irregular"} & traits(facts):
+        return
+    for one in likely_plants(facts):
+        texts = equations_of(facts, one)
+        recipe = row.trial(facts).configured(physics=texts)
+        if texts:
+            make = partial(_of_plant, view, row, recipe, one)
+            yield Option(row.name, make, row.seconds(facts, recipe))
+
+
+def _of_plant(view: AgentView, row: Family, recipe: Recipe, one: Likeness) -> Proposal | None:
+    if not is_new(view, row, recipe):
+        return None
+    return Proposal(
+        source=under_protocol(recipe, row, view.facts).source(f"Grey-box: {one.plant.title}."),
+        family=row.name,
+        title=f"{row.label}: {one.plant.title}",
+        hypothesis=f"{one.looks}.",
+        expected="A V below that of the linear model, with parameters inside their ranges.",
+        remark=one.looks,
+    )
+
+
+def lost_plants(view: AgentView) -> Iterator[str]:
+    """Sentence on each plant whose equations came out no better than the linear model, at the
+    last experiment."""
+    for trial in view.trials[-1:]:
+        recipe = read_recipe(trial.source)
+        if recipe is None or not recipe.get("physics") or trial.parent is not None:
+            continue
+        worse = view.linear is not None and (trial.value or inf) >= view.linear
+        if trial.variant == LINEAR or trial.value is None or worse:
+            yield f"#{trial.number:02d}, {trial.title}: no better than the linear model"
+
+
 def _first(view: AgentView, row: Family, recipe: Recipe) -> Proposal | None:
     if not is_new(view, row, recipe):
         return None
@@ -197,6 +242,8 @@ def effects(view: AgentView) -> Iterator[Option]:
     for at in situations(view):
         for move in all_moves():
             evidence = int(move.evidence(at)) if move.applies(at) else 0
+            if evidence == POSSIBLE and at.recipe.get("physics") and _is_usual(at, move):
+                evidence = LIKELY
             behind = at.row.name not in kept and evidence < SHOWN
             if not evidence or (lost and not keeps_course(move)):
                 continue
@@ -214,6 +261,12 @@ def effects(view: AgentView) -> Iterator[Option]:
             )
             ranked.append(((behind, tries, -share, order, at.place), option))
     yield from (option for _, option in sorted(ranked, key=lambda one: one[0]))
+
+
+def _is_usual(at: Situation, move: Move) -> bool:
+    """Whether the plant that the problem looks like usually has the effect."""
+    before, after = at.recipe.settings, move.change(at).settings
+    return any(before.get(n) != v for n, v in after.items() if n in usual_effects(at.facts))
 
 
 def moved(at: Situation, move: Move) -> Proposal | None:
@@ -250,6 +303,7 @@ def situations(view: AgentView) -> Iterator[Situation]:
     for trial in (*view.ranked, *failed):
         # Where what it began with was as good, nothing else was scored.
         recipe = None if trial.variant in (LINEAR, PARENT) else read_recipe(trial.source)
+        recipe = recipe and with_chosen_equations(recipe, trial.variant)
         if recipe is not None and recipe.family not in chosen:
             chosen[recipe.family] = trial, recipe
     for place, (trial, recipe) in enumerate(chosen.values()):

@@ -1,6 +1,6 @@
 """Moves on the equations of a grey-box."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from asia.agents.library.methods import LM
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Move, Situation
@@ -22,9 +22,8 @@ def names_of(at: Situation, setting: str) -> tuple[str, ...]:
     return tuple(str(name) for name in value) if isinstance(value, tuple) else ()
 
 
-def output_offsets(facts: Facts) -> tuple[str, ...]:
+def output_offsets(facts: Facts, states: Sequence[str]) -> tuple[str, ...]:
     """Outputs that are not states by name, whose offsets would be confused."""
-    states = facts.physics.states if facts.physics else ()
     return tuple(s.name for s in facts.outputs if s.name not in states)
 
 
@@ -40,7 +39,9 @@ def _noise(at: Situation) -> int:
 
 def _with_power_sensor(at: Situation) -> Recipe:
     """Bend the sensor in place of the offsets of outputs, which represent its zero."""
-    kept = tuple(name for name in names_of(at, "offset") if name not in output_offsets(at.facts))
+    kept = tuple(
+        name for name in names_of(at, "offset") if name not in output_offsets(at.facts, at.states)
+    )
     offsets: dict[str, Value] = {"offset": kept} if kept else {}
     return at.recipe.without("offset").configured(sensor="power", **offsets)
 
@@ -53,7 +54,7 @@ def _sensor(at: Situation) -> int:
 
 def _read_by_others(at: Situation) -> tuple[str, ...]:
     """Return the states that occur in the equation of another state."""
-    physics = at.facts.physics
+    physics = at.physics
     if physics is None:
         return ()
     texts = {
@@ -74,7 +75,7 @@ def _inputs(at: Situation) -> tuple[str, ...]:
 def velocities(at: Situation) -> tuple[str, ...]:
     """States that are the rate of change of another or, where there are none, those that outputs
     show."""
-    physics = at.facts.physics
+    physics = at.physics
     if physics is None:
         return ()
     named = [text.strip() for text in physics.dynamics.values()]

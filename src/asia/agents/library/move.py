@@ -7,6 +7,8 @@ from typing import Literal
 
 from asia.agents.library.family import Family
 from asia.agents.view import AgentView, Facts, Trial
+from asia.problem.physics import Physics
+from asia.problem.physics_text import read_physics
 from asia.recipe import Recipe
 
 POSSIBLE, LIKELY, SHOWN = 1, 2, 3
@@ -34,9 +36,15 @@ class Situation:
         return self.view.facts
 
     @property
+    def physics(self) -> Physics | None:
+        """Equations of the candidate: its own, or the problem's."""
+        own = self.recipe.get("physics")
+        return read_physics(str(own[0])) if isinstance(own, tuple) and own else self.facts.physics
+
+    @property
     def states(self) -> tuple[str, ...]:
-        """States of the problem's equations."""
-        return self.facts.physics.states if self.facts.physics else ()
+        """States of these equations."""
+        return self.physics.states if self.physics else ()
 
     def varies(self, name: str) -> bool:
         """Return whether the library lets the setting be varied in this family."""

@@ -11,9 +11,12 @@ from itertools import pairwise
 
 from asia._plugins import family_module, library
 from asia.agents.library.family import Family
+from asia.agents.library.plants import likely_plants
 from asia.agents.library.registry import families
 from asia.agents.library.space import Span
 from asia.agents.view import Facts
+from asia.plants.catalogue import Plant
+from asia.problem.physics_text import written_physics
 from asia.recipe import MODELS, Recipe
 
 # Options of model families and training methods, with the texts of their classes.
@@ -108,6 +111,12 @@ def families_page(facts: Facts) -> str:
         "one fold's fit on an ordinary core, with few and many iterations. `asia models NAME` "
         "prints all about one family."
     )
+    if facts.physics is None:
+        found = ", ".join(f"`{one.plant.name}`" for one in likely_plants(facts)) or "none"
+        lines += _wrapped(
+            "`asia models` lists plants with known equations, `asia models PLANT` prints them. "
+            f"This problem looks like: {found}."
+        )
     lines += ["", "| family | what it is for | trained by | s |", "|---|---|---|---|"]
     if facts.physics is None:
         lines.append(
@@ -176,6 +185,16 @@ def family_page(row: Family, facts: Facts | None) -> str:
         parts.append(f"- `{choice.name}`: {values}")
     parts += ["", "## Example", "", *_example(recipes[0], row.label)]
     return "\n".join(parts) + "\n"
+
+
+def plant_page(plant: Plant) -> str:
+    """The entry of a plant: what is known of it, and its equations in the sizes of an example."""
+    entry = plant.entry
+    parts = [f"# {plant.name}: {plant.title}", ""]
+    parts += _item(f"Source: {entry.source}")
+    parts += _item(f"Usual effects: {', '.join(entry.effects)}")
+    parts += _item(f"Not determined: {entry.unknown}")
+    return "\n".join([*parts, "", "```toml", written_physics(plant.example()).strip(), "```", ""])
 
 
 def _example(recipe: Recipe, label: str) -> list[str]:

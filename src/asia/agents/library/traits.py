@@ -67,25 +67,10 @@ def periodic(facts: Facts) -> bool:
     return facts.horizon is None and period(facts.records) is not None
 
 
-_STORAGE = re.compile(
-    r"tanks?|vessels?|reservoirs?|basins?|storages?|levels?|volumes?|overflows?|spills?|fill(s|ed)?"
-)
 _UNSIGNED = re.compile(
-    r"magnitude|absolute (value|speed)|unsigned|rectifie[ds]|(without|no|loses its|lost its) sign"
+    r"(?<![a-z])(magnitude|absolute (value|speed)|unsigned|rectifie[ds]|"
+    r"(without|no|loses its|lost its) sign)(?![a-z])"
 )
-
-
-def _described(facts: Facts, pattern: re.Pattern[str]) -> bool:
-    """Return whether description, notes, strategies or names of signals and states match."""
-    states = facts.physics.states if facts.physics else ()
-    names = " ".join((*(s.name for s in (*facts.inputs, *facts.outputs)), *states))
-    text = f"{facts.description} {facts.notes} {facts.strategies} {names}".lower()
-    return re.search(rf"(?<![a-z])({pattern.pattern})(?![a-z])", text) is not None
-
-
-def has_storage(facts: Facts) -> bool:
-    """Return whether the user's words tell of something that fills and can overflow."""
-    return _described(facts, _STORAGE)
 
 
 def sign_lost(facts: Facts) -> float:
@@ -95,4 +80,6 @@ def sign_lost(facts: Facts) -> float:
     low, high = np.quantile(y, (0.05, 0.95), axis=0)
     if (y.min(axis=0) < -0.05 * high).any() or (high <= 0).any():
         return 0.0
-    return 1.0 if _described(facts, _UNSIGNED) else 0.5 * bool((low < 0.05 * high).all())
+    names = " ".join(s.name for s in (*facts.inputs, *facts.outputs))
+    text = f"{facts.description} {facts.notes} {facts.strategies} {names}".lower()
+    return 1.0 if _UNSIGNED.search(text) else 0.5 * bool((low < 0.05 * high).all())

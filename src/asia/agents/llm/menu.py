@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
 
 from asia._text import one_line
-from asia.agents.expert.agent import Option, effects, untried
+from asia.agents.expert.agent import Option, effects, recognised, untried
 from asia.agents.library.move import plain_title
 from asia.agents.library.registry import family
 from asia.agents.library.space import Span, applies
@@ -101,7 +101,8 @@ class Offer:
 def menu(view: AgentView) -> tuple[Offer, ...]:
     """Return at most eight candidates that were not tried: effects in the order in which the expert
     tries them, and new families, the most apt first. New families lead in the explore phase."""
-    groups = [list(islice(_offers(view, group), _MOST)) for group in (effects(view), untried(view))]
+    new = chain(recognised(view), untried(view))
+    groups = [list(islice(_offers(view, group), _MOST)) for group in (effects(view), new)]
     first, second = groups if view.phase == "refine" else reversed(groups)
     first = first[: max(_MOST // 2, _MOST - len(second))]
     return (*first, *second[: _MOST - len(first)])

@@ -29,6 +29,7 @@ def check(
     from asia.interfaces.workspace.workspace import is_workspace
     from asia.judge.evaluation.control import control_lines
     from asia.judge.evaluation.plant_check import check_plant
+    from asia.plants.recognition import recognise, recognition_lines
     from asia.problem.check import check_problem
     from asia.problem.load import load_problem
     from asia.problem.seal import seal
@@ -49,7 +50,9 @@ def check(
     # A verdict needs a linear model.
     regular = loaded.channels.time_step is None
     verdict = judge_data(loaded, report).lines() if regular else []
-    for line in (*report.lines(), *simulator, *verdict):
+    ranked = recognise(loaded.description, loaded.inputs, loaded.outputs, loaded.train)
+    plants = recognition_lines(ranked) if regular and loaded.physics is None else []
+    for line in (*report.lines(), *plants, *simulator, *verdict):
         say(line)
     if not draw:
         return

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
+from textwrap import wrap
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,6 +26,7 @@ from asia.interfaces.cli.options import (
 
 if TYPE_CHECKING:
     from asia.data.intake.sheet import Wanted
+    from asia.plants.catalogue import Plant
 
 
 # Questions of asia init on a terminal; the columns found in the files are the defaults.
@@ -209,6 +211,7 @@ SEAL_FRACTION = 0.2
 _SILENT_SECONDS = 2.0
 BRIEF_HELP = frozenset(
     {"name", "train", "test", "inputs", "outputs", "sampling_time", "seal", "time", "yes"}
+    | {"description", "like"}
 )
 LISTS = (
     "--train",
@@ -234,6 +237,16 @@ def init(
         typer.Option(help="Values that mark missing samples, such as 999.9. [[data.missing]]"),
     ] = None,
     preparation: Preparation,
+    description: Annotated[
+        str | None, typer.Option(help="The system in plain English, for description.md.")
+    ] = None,
+    like: Annotated[
+        str | None,
+        typer.Option(
+            help="Plant of the catalogue whose equations problem.toml gets; without --train that "
+            "of an existing problem."
+        ),
+    ] = None,
     keys: Keys = None,
     yes: Annotated[
         bool, typer.Option("--yes", help="Ask nothing: use the detected columns, and seal a test.")
@@ -262,8 +275,13 @@ def init(
     """
     from asia.data.intake.sheet import Missing, Wanted
     from asia.data.store import key_folder
+    from asia.plants.catalogue import plant_named
     from asia.problem.create import init_problem
 
+    plant = None if like is None else plant_named(like)
+    if plant is not None and not answers.train and (name / "problem.toml").is_file():
+        _write_equations(name / "problem.toml", plant)
+        return
     printed = monotonic()
 
     def progress(text: str) -> None:
@@ -299,6 +317,8 @@ def init(
         preparation=preparation,
         references=answers.references,
     )
+    if description is not None:
+        (made.path.parent / "description.md").write_text(f"{description}\n", encoding="utf-8")
     for text in made.read:
         say(f"read     {text}")
     for one in made.bad:
@@ -332,6 +352,62 @@ def init(
         say("note     the test files are not encrypted; --seal encrypts them")
     else:
         say("note     no test data. --seal holds out the last 20 % of each record as the test")
-    say(f"next     describe the system in {made.path.parent / 'description.md'}")
-    say(f"         asia check {name}")
+    _liken(made.path, plant, asks=sys.stdin.isatty() and not yes)
+    if description is None:
+        say(f"next     describe the system in {made.path.parent / 'description.md'}")
+    say(f"next     asia check {name}")
     say(f"         asia run {name}")
+
+
+def _liken(path: Path, plant: Plant | None, *, asks: bool) -> None:
+    """Write the equations of a plant, or say which plant a new problem looks like."""
+    from asia.plants.recognition import likely, recognise, recognition_lines
+    from asia.problem.load import load_problem
+
+    if plant is None:
+        problem = load_problem(path)
+        found = likely(
+            recognise(problem.description, problem.inputs, problem.outputs, problem.train)
+        )
+        for line in recognition_lines(found) if found else ():
+            say(line)
+        question = "Write the equations of the first into problem.toml?"
+        if not (found and asks and typer.confirm(question, default=False)):
+            return
+        plant = found[0].plant
+    _write_equations(path, plant)
+
+
+def _write_equations(path: Path, plant: Plant) -> None:
+    """Write `[physics]` of a plant into a problem file."""
+    from asia.plants.recognition import assignments
+    from asia.problem.load import load_problem
+    from asia.problem.physics_text import written_physics
+
+    problem = load_problem(path)
+    if problem.physics is not None:
+        raise UserError(f"{path} has equations: remove [physics] to write those of {plant.name}")
+    found = assignments(plant, problem.inputs, problem.outputs)
+    if not found:
+        roles = "; ".join(
+            f"{what}: {', '.join(names)}"
+            for what, names in (("inputs", plant.entry.inputs), ("outputs", plant.entry.outputs))
+        )
+        raise UserError(
+            f"the signals of {path} cannot fill the roles of a {plant.title} ({roles}): check "
+            "inputs, outputs and their units"
+        )
+    physics = plant.physics(found[0], problem.inputs, problem.outputs, problem.train)
+    text, _, _ = path.read_text(encoding="utf-8").partition("# [physics]")
+    comments = [f"{plant.title}. {plant.entry.unknown}", f"Source: {plant.entry.source}."]
+    lines = [f"# {line}" for comment in comments for line in wrap(comment, 98)]
+    equations = written_physics(physics, "physics.")
+    path.write_text(
+        "\n".join([text.rstrip(), "", *lines, "[physics]", equations]), encoding="utf-8"
+    )
+    load_problem(path)
+    signals = ", ".join(f"{role} is {name}" for role, name in found[0].items())
+    say(f"wrote    the equations of a {plant.title} into {path}: {signals}")
+    for other in found[1:]:
+        signals = ", ".join(f"{role} is {name}" for role, name in other.items())
+        say(f"note     the names tell as little about: {signals}")

@@ -10,16 +10,18 @@ from asia.errors import UserError
 
 
 def models(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One family.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Family or plant.")] = None,
     problem: Annotated[
         str | None,
         typer.Option(help="Problem for the example; default this workspace's, else two_tanks_sim."),
     ] = None,
 ) -> None:
-    """Print the model families, or one of them: options, training, an example."""
-    from asia.agents.library.pages import family_page
+    """Print the model families and the plants of the catalogue, or one of them: options, training,
+    an example; equations."""
+    from asia.agents.library.pages import family_page, plant_page
     from asia.agents.library.registry import all_families
     from asia.interfaces.workspace.workspace import Workspace
+    from asia.plants.catalogue import catalogue
     from asia.problem.load import load_problem
     from asia.search.agent_views import problem_facts
 
@@ -28,11 +30,16 @@ def models(
         width = max(len(row.name) for row in rows)
         for row in rows:
             say(f"{row.name:<{width}}  {row.use}")
-        say("asia models NAME prints options, training and an example")
+        say(f"plants   {', '.join(catalogue())}")
+        say("asia models NAME prints options, training and an example, or equations of a plant")
         return
     found = next((row for row in rows if row.name == name), None)
+    if found is None and name in catalogue():
+        say_lines(plant_page(catalogue()[name]), end="")
+        return
     if found is None:
-        raise UserError(f"no model family '{name}'{nearest(name, [row.name for row in rows])}")
+        known = [*(row.name for row in rows), *catalogue()]
+        raise UserError(f"no model family or plant '{name}'{nearest(name, known)}")
     # Those of the named problem, of this workspace, or of a built-in problem.
     place = Workspace.around(Path())
     if problem is None and place is not None and (place.folder / "problem.toml").is_file():

@@ -24,6 +24,9 @@ class Config:
     are held as weakly as the parameters of the equations.
     """
 
+    physics: tuple[str, ...] = ()
+    """Equations in the language of `[physics]`, in place of the problem's. Of several the fair
+    trial of a search chooses; a fit takes the first."""
     saturation: tuple[str, ...] = ()
     """States with a learned upper limit, such as the level of a tank that can be full."""
     spill: bool = False

@@ -3,8 +3,8 @@
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
+from asia.agents.library.plants import usual_effects
 from asia.agents.library.space import OneOf, Space
-from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import fails_on_top
 from asia.agents.view import Facts
 from asia.data.statistics import plateau_share
@@ -60,7 +60,7 @@ CARD = Card(
             name="storages run over",
             evidence=lambda c: (
                 (SHOWN if fails_on_top(c.trial) or _saturates(c.facts) else POSSIBLE)
-                * (has_storage(c.facts) and (not c.recipe.get("full")))
+                * ("spill" in usual_effects(c.facts) and (not c.recipe.get("full")))
             ),
             change=lambda c: c.recipe.configured(full=True, spill=True),
             hypothesis="Each storage can be full, and part of its overflow enters the next.",

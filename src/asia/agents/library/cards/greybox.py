@@ -8,8 +8,8 @@ from asia.agents.library.equation_moves import (
 from asia.agents.library.family import Family, Path, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import LIKELY, POSSIBLE, SHOWN, Card, Move, Situation
+from asia.agents.library.plants import usual_effects
 from asia.agents.library.space import OneOf, Space, Span
-from asia.agents.library.traits import has_storage
 from asia.agents.library.trial_evidence import (
     biased,
     coloured,
@@ -34,7 +34,7 @@ def _space(facts: Facts) -> Space:
     each_state = tuple((name,) for name in states)
     each_input = tuple((signal.name,) for signal in facts.inputs)
     together = (states,) if len(states) > 1 else ()
-    outputs = output_offsets(facts)
+    outputs = output_offsets(facts, states)
     offsets = tuple(dict.fromkeys(((), outputs, states, (*outputs, *states))))
     return Space(
         config=(
@@ -89,10 +89,10 @@ def _saturation(at: Situation) -> int:
 
 
 def _overflow(at: Situation) -> int:
-    """That of saturation, while a next state exists to take the spill of something that can
+    """That of saturation, while a next state exists to take the spill of a plant that can
     overflow."""
     chain = len(at.states) > len(_next_state(at)) and not names_of(at, "saturation")
-    return _saturation(at) * (has_storage(at.facts) and chain)
+    return _saturation(at) * ("spill" in usual_effects(at.facts) and chain)
 
 
 def _lacks_offsets(at: Situation, names: tuple[str, ...]) -> bool:
@@ -137,9 +137,10 @@ _MOVES: tuple[Move, ...] = (
     Move(
         name="output offset",
         evidence=lambda c: (
-            (LIKELY if biased(c.trial) else POSSIBLE) * _lacks_offsets(c, output_offsets(c.facts))
+            (LIKELY if biased(c.trial) else POSSIBLE)
+            * _lacks_offsets(c, output_offsets(c.facts, c.states))
         ),
-        change=lambda c: _with_offsets(c, output_offsets(c.facts)),
+        change=lambda c: _with_offsets(c, output_offsets(c.facts, c.states)),
         hypothesis="The sensor has an offset from the equations.",
         expected="Less bias; the fit at low outputs improves most.",
     ),

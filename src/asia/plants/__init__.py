@@ -1,0 +1,1 @@
+"""Catalogue of plants: equations, roles and words as data, one file each."""
