@@ -47,6 +47,7 @@ from asia.agents.view import (
     Running,
     Trial,
 )
+from asia.data.level_responses import describe_levels
 from asia.recipe import Recipe, read_recipe
 
 GIVEN = frozenset({"greybox", "physics_net", "simulator"})
@@ -131,6 +132,9 @@ class ExpertAgent:
             remarks.append(
                 f"{term} {where} explains {100 * share:.0f} % of a linear model's residual"
             )
+        if len(view.trials) == 1:
+            facts = view.facts
+            remarks += describe_levels(facts.records, facts.inputs, facts.outputs)
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
         return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks), fair=True)

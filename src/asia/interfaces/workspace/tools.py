@@ -36,7 +36,13 @@ from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
 from asia.interfaces.workspace.workspace import SCORED, scored_locally
-from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes, steps_ahead
+from asia.judge.evaluation.error_analysis import (
+    error_parts,
+    halved_step,
+    missing_terms,
+    modes,
+    steps_ahead,
+)
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
 from asia.judge.evaluation.results import derive_seed
@@ -53,6 +59,7 @@ from asia.judge.scoring.residuals import (
 )
 from asia.ledger.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.presentation.evidence import minima_lines
+from asia.problem.check import level_lines
 from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
@@ -355,6 +362,15 @@ def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) ->
         if ahead:
             text = ", ".join(f"{e:.2g} at step {k}" for k, e in ahead.items())
             yield f"    after starts from measured samples, in s.d. of the output: {text}"
+        finer = halved_step(one.model, one.fold.held_out, one.y_hat, one.fold.scale)
+        if finer is not None:
+            text = "the step is short enough"
+            if finer.matters:
+                text = "the step is too long: raise `substeps`, or refine the grid"
+            yield (
+                f"    half the step of the integration: RMS error {finer.value:.4g} becomes "
+                f"{finer.half:.4g}, standard error {finer.error:.1g}: {text}"
+            )
         course = " ".join(f"{e:.2g}" for e in found.over_time)
         yield f"    over the block, tenths, in s.d. of the output: {course}"
         bands = zip(found.frequencies, found.frequencies[1:], found.bands, strict=False)
@@ -365,6 +381,7 @@ def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) ->
             texts = list(modes(one.model, one.training[0], one.training_y_hat[0], step))
             if texts:
                 yield f"    modes at the mean state: {'; '.join(texts[:8])}"
+    yield from level_lines(problem)
     where = "held-out" if held_out else "training"
     yield (
         f"missing terms, score test on the {where} part: share of the squared residual that a term "
