@@ -3,10 +3,11 @@
 Random plants with up to three inputs of different order in coloured noise: coverage of the 95 %
 intervals of process-model parameters, and delays within one sample, with the numbers of lags chosen
 and given. Open-loop files with five kinds of inputs: alarms of feedback and drift. Closed-loop
-files: feedback that is found.
+files: feedback that is found. Linear files: alarms of a dependence on a level. Files with a delay
+and a time constant that go as one over a flow, and with a gain that doubles: what is found.
 
     python benchmarks/models/record_statistics.py [--plants 200] [--files 500] [--loops 100]
-        [--seed 0]
+        [--linear 200] [--levels 50] [--seed 0]
 """
 
 from __future__ import annotations
@@ -14,16 +15,21 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.signal import lfilter
 
 from asia.analysis.process import ProcessStructure, fit_process
 from asia.data import Array, Trajectory
+from asia.data.level_responses import level_responses
+from asia.data.relations import Transport
 from asia.data.statistics import FALSE_ALARMS, delays, drifts, feedback
 from asia.errors import UserError
 from asia.lowering.linear import ProcessModel
 
+Quantity = Literal["gain", "delay", "time_constant"]
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 KINDS = ("steps", "prbs", "multisine", "walk", "weather")
 
 
@@ -74,8 +80,8 @@ def plant(rng: np.random.Generator, samples: int) -> tuple[Trajectory, list[Proc
     return Trajectory(np.stack(inputs, axis=1), y[:, None], 1.0, "plant"), models
 
 
-def open_loop(rng: np.random.Generator, kind: str, samples: int) -> Trajectory:
-    """One or two inputs of a kind, one or two outputs, some of them nonlinear."""
+def open_loop(rng: np.random.Generator, kind: str, samples: int, curved: float = 0.3) -> Trajectory:
+    """One or two inputs of a kind, one or two outputs, a share of them nonlinear."""
     inputs: list[Array] = []
     for _ in range(int(rng.integers(1, 3))):
         u = signal(rng, kind, samples)
@@ -88,7 +94,7 @@ def open_loop(rng: np.random.Generator, kind: str, samples: int) -> Trajectory:
             late = [*np.zeros(int(rng.integers(1, 10))), (1.0 - a) * (1.0 - b)]
             part = np.asarray(lfilter(late, np.convolve([1.0, -a], [1.0, -b]), u))
             y += part / part.std() * rng.uniform(0.5, 2.0) * rng.choice([-1.0, 1.0])
-        y += 0.1 * y**2 * (rng.random() < 0.3)
+        y += 0.1 * y**2 * (rng.random() < curved)
         outputs.append(y + noise(rng, samples) * y.std() * rng.uniform(0.03, 0.4))
     return Trajectory(np.stack(inputs, axis=1), np.stack(outputs, axis=1), 1.0, kind)
 
@@ -105,6 +111,51 @@ def closed_loop(rng: np.random.Generator, samples: int) -> Trajectory:
         u[k] = gain * error + total + 0.05 * rng.normal()
         x = pole * x + (1.0 - pole) * u[k]
     return Trajectory(u[:, None], y[:, None], 1.0, "loop")
+
+
+def by_level(rng: np.random.Generator, kind: Quantity, samples: int) -> Trajectory:
+    """Flow and load, and an output whose response to the load has a quantity that follows the flow:
+    a delay or a time constant as one over it, or a gain that doubles from its lowest value to its
+    highest."""
+    flow = np.repeat(rng.uniform(0.4, 1.6, samples // 20 + 1), 20)[:samples]
+    load = np.repeat(rng.normal(size=samples // 8 + 1), 8)[:samples]
+    u = np.column_stack([flow, load])
+    size, y = rng.uniform(4.0, 10.0), np.zeros(samples)
+    acting = Transport(0, size).carried(u)[:, 1] if kind == "delay" else load
+    acting = acting * (0.5 + 0.5 * (flow - 0.4) / 1.2) if kind == "gain" else acting
+    for k in range(samples - 1):
+        pace = flow[k] if kind == "time_constant" else 1.0
+        y[k + 1] = y[k] + (1.0 - np.exp(-2.0 * pace / size)) * (acting[k] - y[k])
+    y += noise(rng, samples) * y.std() * rng.choice([0.03, 0.1, 0.2])
+    return Trajectory(u, y[:, None], 1.0, kind)
+
+
+def count_levels(linear: int, levels: int, seed: int) -> None:
+    """Print the rates of false alarms and of dependences on a level that are found."""
+    alarms = Counter[str]()
+    for number in range(linear):
+        kind = KINDS[number % len(KINDS)]
+        record = open_loop(np.random.default_rng([seed, 4, number]), kind, 1000, 0.0)
+        alarms[kind] += bool(level_responses([record]))
+    if linear:
+        print(f"linear: a response depends on a level in {sum(alarms.values())} of {linear} files, "
+              f"{dict(alarms)}")  # fmt: skip
+    for kind in QUANTITIES if levels else ():
+        shown = right = 0
+        powers: list[float] = []
+        for number in range(levels):
+            found = level_responses(
+                [by_level(np.random.default_rng([seed, 5, number]), kind, 1000)]
+            )
+            shown += bool(found)
+            load = [r for r in found if r.input == 1 and (r.of, r.signal) == ("input", 0)]
+            quantity = getattr(load[0], kind) if load else None
+            if quantity is not None and quantity.changes:
+                right += 1
+                powers.append(quantity.power)
+        mean = float(np.mean(powers)) if powers else np.nan
+        print(f"{kind} that follows a flow: dependence found in {shown} of {levels} files, in this "
+              f"quantity in {right}; mean power of the flow {mean:.2f}")  # fmt: skip
 
 
 def count_plants(plants: int, seed: int, *, known: bool) -> None:
@@ -149,11 +200,13 @@ def count_plants(plants: int, seed: int, *, known: bool) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    for name, default in (("plants", 200), ("files", 500), ("loops", 100), ("seed", 0)):
+    defaults = {"plants": 200, "files": 500, "loops": 100, "linear": 200, "levels": 50, "seed": 0}
+    for name, default in defaults.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     given = parser.parse_args()
     start = time.process_time()
-    for given_structure in (False, True):
+    count_levels(given.linear, given.levels, given.seed)
+    for given_structure in (False, True) if given.plants else ():
         count_plants(given.plants, given.seed, known=given_structure)
     alarms, drifting = Counter[str](), Counter[str]()
     for number in range(given.files):

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,18 +163,7 @@ class Transport:
         return np.hstack([leaving, u[:, self.pace, None]])
 
 
-class FoundTransport(NamedTuple):
-    """The volume that explains most."""
-
-    transport: Transport
-    delay: float
-    """Delay in samples at the mean pace."""
-    ratio: float
-    """Squared one-step error with it, over the least of all constant delays; infinite where the
-    records are too short to tell."""
-
-
-def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
+def find_transport(records: Sequence[Trajectory], pace: int) -> Transport:
     """Volume of the pipe by the error of a one-step model with products of its signals. Raises
     ValueError where the input takes values that are not positive."""
     least = min(float(r.u[:, pace].min()) for r in records)
@@ -190,28 +178,16 @@ def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
         for r in records
         if len(r) > 2 * _LONGEST
     ]
-    each = [
+    errors = [
         _one_step_error([Transport(pace, mean * d).carried(r.u) for r in parts], parts)
         for d in delays
     ]
-    constant = [
-        _one_step_error([_delayed(r.u, d, pace) for r in parts], parts) for d in range(_LONGEST + 1)
-    ]
-    best = int(np.argmin(each))
-    known = np.isfinite(each[best]) and min(constant) > 0.0
-    ratio = each[best] / min(constant) if known else float("inf")
-    delay = float(delays[best])
-    return FoundTransport(Transport(pace, mean * delay, 0.5 * least), delay, float(ratio))
+    return Transport(pace, mean * float(delays[int(np.argmin(errors))]), 0.5 * least)
 
 
 def _sums(values: Array) -> Array:
     """Return the cumulative sums (T + 1, c) of (T, c): the amount before each sample."""
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-
-
-def _delayed(u: Array, delay: int, pace: int) -> Array:
-    held = np.concatenate([np.repeat(u[:1], delay, axis=0), u])[: len(u)]
-    return np.hstack([held, u[:, pace, None]])
 
 
 def _one_step_error(inputs: Sequence[Array], records: Sequence[Trajectory]) -> float:

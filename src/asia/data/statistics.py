@@ -1,5 +1,5 @@
 """Statistics of records: delay and feedback of each pair of signals, integrators, resonances,
-drift, noise of periods, levels, switching and transport. Checks, verdicts, process models and
+drift, noise of periods, levels and switching. Checks, verdicts, process models and
 agents read them here, and estimate none themselves.
 
 Every test says how often it errs: its level holds for the family of all signals, pairs and lags of
@@ -20,7 +20,6 @@ from asia._progress import tracked
 from asia._statement import LEAST_FIT
 from asia.data.frequency import find_period, frequency_response
 from asia.data.process import OutputTransfer, fit_transfer, once_for_records
-from asia.data.relations import FoundTransport, find_transport
 from asia.data.trajectory import Array, Trajectory, deviations, is_constant
 from asia.errors import UserError
 
@@ -650,27 +649,6 @@ def _late(values: Array, lag: int) -> Array:
     """Columns (T - lags, n) that lag behind the samples from the number of lags on."""
     columns = values[:, None] if values.ndim == 1 else values
     return columns[_LAGS - lag : len(columns) - lag]
-
-
-# Variable transport delays set by an input: a flow in a pipe, the speed of a belt.
-
-
-# Share of the squared one-step error under the best constant delay that may be left, and the least
-# delay in samples: a shorter one is as good as constant.
-_LARGEST_RATIO, _LEAST_DELAY = 0.6, 2.0
-# Least deviation of a pace from its mean, as a share of it, and how many inputs are looked at.
-_LEAST_CHANGE, _MOST_INPUTS = 0.05, 4
-
-
-@once_for_records
-def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
-    """The pipe that the training records show, at the pace of one of the inputs; None without."""
-    u = np.concatenate([r.u for r in records])
-    moving = u.std(axis=0) > _LEAST_CHANGE * np.abs(u.mean(axis=0))
-    paces = [j for j in range(u.shape[1]) if u[:, j].min() > 0.0 and moving[j]]
-    each = [find_transport(records, j) for j in paces[:_MOST_INPUTS]]
-    likely = [f for f in each if f.ratio < _LARGEST_RATIO and f.delay > _LEAST_DELAY]
-    return min(likely, key=lambda f: f.ratio, default=None)
 
 
 # Limits that an output is driven against.

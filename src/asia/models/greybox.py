@@ -90,6 +90,11 @@ class GreyBox:
         """
         return self.steps(u).step(state, u)
 
+    def halved(self) -> GreyBox:
+        """The model, integrated with half the step."""
+        config = replace(self.structure.config, substeps=2 * self.structure.config.substeps)
+        return replace(self, structure=replace(self.structure, config=config))
+
     def steps(self, like: AnyArray) -> CaseSteps:
         """The steps with arrays of the library of `like`. Raises ValueError before training."""
         return self._numpy_steps if namespace(like) is np else self._steps_like(like)

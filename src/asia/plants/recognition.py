@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from functools import cache
 from math import exp, log
 
-from asia.data.statistics import integrating, limit_shares, resonant, transport
+from asia.data.level_responses import set_delay
+from asia.data.statistics import integrating, limit_shares, resonant
 from asia.data.trajectory import Signal, Trajectory
 from asia.plants.catalogue import Plant, Role, Sign, catalogue, quantities
 from asia.problem.problem import is_described
@@ -192,7 +193,7 @@ def _shown(records: tuple[Trajectory, ...], outputs: Sequence[Signal]) -> dict[S
     if not records:
         return {}
     drifting = ", ".join(outputs[k].name for k in integrating(records))
-    pipe = transport(records)
+    pipe = set_delay(records)
     limits = limit_shares(records)
     resting = [o.name for o, one in zip(outputs, limits, strict=True) if max(one) > _LEAST_REST]
     return {

@@ -13,6 +13,7 @@ import numpy as np
 from asia.data.bad_samples import find_bad_samples
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
 from asia.data.intake.conversion import NOT_MEASURED
+from asia.data.level_responses import describe_levels
 from asia.data.relations import Repetition, find_repetition
 from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback, limit_shares
 from asia.data.trajectory import Array, Signal, Trajectory, is_constant
@@ -151,7 +152,8 @@ class CheckReport:
             "what the folds hold out"
             for one in problem.responses
         ]
-        lines += [_missing_line(problem), *delay_lines(problem), *response_lines(problem)]
+        lines += [_missing_line(problem), *delay_lines(problem), *level_lines(problem)]
+        lines += response_lines(problem)
         lines += map(_fold_line, self.folds)
         if rule.horizon is None:
             cases = "whole blocks are simulated"
@@ -510,6 +512,13 @@ def delay_lines(problem: Problem) -> list[str]:
             f"feedback: not tested for input {', '.join(untested)}, which its own past predicts"
         )
     return lines
+
+
+def level_lines(problem: Problem) -> list[str]:
+    """Describe how gains, delays and time constants depend on the level of a signal."""
+    if problem.channels.time_step is not None:
+        return []
+    return describe_levels(problem.train, problem.inputs, problem.outputs)
 
 
 def _delay_text(delay: Delay) -> str:

@@ -48,22 +48,12 @@ def test_a_pace_slower_than_any_that_was_seen_counts_as_the_slowest() -> None:
     transport = Transport(0, 4.0, slowest=0.5)
     assert transport.longest == 8
     assert transport.carried(u)[:, 1] == pytest.approx(transport.carried(slow)[:, 1])
-    found = find_transport([belt(500, 0)], 0).transport
+    found = find_transport([belt(500, 0)], 0)
     assert found.slowest == pytest.approx(0.5 * belt(500, 0).u[:, 0].min())
 
 
-def test_the_volume_is_found_and_a_constant_delay_is_not_taken_for_one() -> None:
-    found = find_transport([belt(500, 0)], 0)
-    assert found.transport.volume == pytest.approx(6.0, rel=0.1)
-    assert found.ratio < 0.3
-    record = belt(500, 0)
-    late = Trajectory(np.column_stack([record.u[:, 0], np.roll(record.u[:, 1], -6)]),
-                      np.roll(record.u[:, 1:], 0), 1.0)  # fmt: skip
-    assert find_transport([late], 0).ratio > 0.8
-
-
-def test_a_record_too_short_to_tell_says_nothing() -> None:
-    assert find_transport([belt(50, 0)], 0).ratio == float("inf")
+def test_the_volume_is_found() -> None:
+    assert find_transport([belt(500, 0)], 0).volume == pytest.approx(6.0, rel=0.1)
 
 
 def test_a_pace_has_to_be_positive() -> None:

@@ -50,6 +50,7 @@ from asia.agents.view import (
     Running,
     Trial,
 )
+from asia.data.level_responses import describe_levels
 from asia.plants.recognition import Likeness
 from asia.recipe import Recipe, read_recipe, with_chosen_equations
 
@@ -136,6 +137,9 @@ class ExpertAgent:
             remarks.append(
                 f"{term} {where} explains {100 * share:.0f} % of a linear model's residual"
             )
+        if len(view.trials) == 1:
+            facts = view.facts
+            remarks += describe_levels(facts.records, facts.inputs, facts.outputs)
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
         remarks += [proposal.remark] if proposal.remark else []

@@ -16,6 +16,7 @@ from asia.agents.library.move import (
 from asia.agents.library.traits import periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
+from asia.data.level_responses import level_responses
 from asia.data.statistics import feedback_size, largest_pole, noise_of_periods, unstable
 from asia.problem.obstacles import DELAY_TRIED, least_delay, obstacle
 from asia.recipe import Arguments, Recipe, read_recipe
@@ -136,6 +137,7 @@ ANSWERS: dict[str, tuple[str, ...]] = {
         "{state} follows its command late",
         "one storage more",
     ),
+    "level": ("functions of all states", "polynomials", "terms that the equations lack"),
     "time": ("slow disturbance", "slow disturbance in the noise", "a free integrator"),
     "closed loop": ("slow disturbance", "slow disturbance in the noise"),
 }
@@ -168,6 +170,9 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
     found["sign"] = sign_lost(view.facts) if "output_map" not in best.source else 0.0
     if coloured(best) and view.facts.horizon is None:
         found["closed loop"] = 0.5 * feedback_size(view.facts.records)
+    if best.family == "linear":
+        # What it explains of another model's residual is not known.
+        found["level"] = max((r.share for r in level_responses(view.facts.records)), default=0.0)
     large = [(k, v) for k, v in found.items() if v >= _LEAST_SHARE and k in ANSWERS]
     return tuple(sorted(large, key=lambda item: -item[1]))
 

@@ -36,7 +36,13 @@ from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
 from asia.interfaces.workspace.workspace import SCORED, scored_locally
-from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes, steps_ahead
+from asia.judge.evaluation.error_analysis import (
+    error_parts,
+    halved_step,
+    missing_terms,
+    modes,
+    steps_ahead,
+)
 from asia.judge.evaluation.fold_fits import FoldFit, derive_seed, search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
 from asia.judge.evaluation.validation_score import rounded_score
@@ -53,6 +59,7 @@ from asia.judge.scoring.residuals import (
 )
 from asia.ledger.simulated import SimulatedCases, simulated_cases
 from asia.presentation.evidence import minima_lines
+from asia.problem.check import level_lines
 from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
@@ -365,6 +372,15 @@ def analysis(
         if ahead:
             text = ", ".join(f"{e:.2g} at step {k}" for k, e in ahead.items())
             yield f"    after starts from measured samples, in s.d. of the output: {text}"
+        finer = halved_step(fit.model, fold.held_out, fit.y_hat, fold.scale)
+        if finer is not None:
+            text = "the step is short enough"
+            if finer.matters:
+                text = "the step is too long: raise `substeps`, or refine the grid"
+            yield (
+                f"    half the step of the integration: RMS error {finer.value:.4g} becomes "
+                f"{finer.half:.4g}, standard error {finer.error:.1g}: {text}"
+            )
         course = " ".join(f"{e:.2g}" for e in error.over_time)
         yield f"    over the block, tenths, in s.d. of the output: {course}"
         bands = zip(error.frequencies, error.frequencies[1:], error.bands, strict=False)
@@ -375,6 +391,7 @@ def analysis(
             texts = list(modes(fit.model, parts[0], parts[0].y_hat, step))
             if texts:
                 yield f"    modes at the mean state: {'; '.join(texts[:8])}"
+    yield from level_lines(problem)
     where = "held-out" if held_out else "training"
     yield (
         f"missing terms, score test on the {where} part: share of the squared residual that a term "

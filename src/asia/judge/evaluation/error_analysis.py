@@ -296,6 +296,46 @@ def steps_ahead(
     return {k: float(np.sqrt(np.mean(e[k - 1] ** 2))) for k in steps}
 
 
+@dataclass(frozen=True)
+class FinerStep:
+    """V of held-out blocks with the step of the integration and with half of it."""
+
+    value: float
+    half: float
+    error: float
+    """Standard error of V over parts of the blocks."""
+
+    @property
+    def matters(self) -> bool:
+        """Whether V changes by more than its standard error."""
+        return abs(self.half - self.value) > self.error
+
+
+_PARTS = 24
+
+
+def halved_step(
+    model: Model, blocks: Sequence[Segment], y_hat: Sequence[Array], scale: Array
+) -> FinerStep | None:
+    """Simulate held-out blocks with half the step of the integration; None for a model without a
+    method `halved()`, which returns the model with it, and one that diverges then."""
+    halved = getattr(model, "halved", None)
+    if not callable(halved):
+        return None
+    finer: Any = halved()
+    squares: list[list[Array]] = [[], []]
+    for block, coarse in zip(blocks, y_hat, strict=True):
+        fine = np.asarray(finer.simulate(block.past_u[None], block.past_y[None], block.u[None])[0])
+        for each, y in zip(squares, (coarse, fine), strict=True):
+            each.append((filled(block.y - y) / scale) ** 2)
+    means = [np.concatenate(each) for each in squares]
+    if not np.isfinite(means[1]).all():
+        return None
+    value, half = (float(np.sqrt(m.mean(axis=0)).mean()) for m in means)
+    parts = [np.sqrt(np.mean(m)) for m in np.array_split(means[0], min(_PARTS, len(means[0])))]
+    return FinerStep(value, half, float(np.std(parts) / np.sqrt(len(parts))))
+
+
 def _spectrum(errors: Sequence[Array], sampling_time: float) -> tuple[Array, Array]:
     """Five bands from 0 to the Nyquist frequency, of equal width on a logarithmic axis, and the
     share of the squared error in each."""
@@ -344,15 +384,19 @@ _LOCAL = 0.3
 simulation describes a change of the model."""
 
 
-def _terms(signals: dict[str, Array], inputs: dict[str, Array]) -> dict[str, Array]:
-    """Candidate terms (B, H) of signals (B, H): odd and even functions, limits, products, and the
-    delays of inputs (B, 16 + H)."""
+def _terms(
+    signals: dict[str, Array], inputs: dict[str, Array], partners: Sequence[str] = ()
+) -> dict[str, Array]:
+    """Candidate terms (B, H) of signals (B, H): odd and even functions, limits, products, the
+    delays of inputs (B, 16 + H), and products of these with the signals named as partners."""
     found: dict[str, Array] = {}
     centred: dict[str, Array] = {}
+    centred_at: dict[str, float] = {}
     for name, s in signals.items():
         low, high = np.quantile(s, (0.02, 0.98))
         crosses = low < -0.05 * high and high > -0.05 * low
-        z = centred[name] = s if crosses else s - s.mean()
+        centred_at[name] = 0.0 if crosses else float(s.mean())
+        z = centred[name] = s - centred_at[name]
         label = name if crosses else f"({name} - mean)"
         found |= {f"{label}^2": z**2, f"{label}^3": z**3}
         if crosses:
@@ -374,6 +418,9 @@ def _terms(signals: dict[str, Array], inputs: dict[str, Array]) -> dict[str, Arr
         for delay in _DELAYS:
             late = u[:, _DELAYS[-1] - delay : -delay]
             found[f"{name}, {delay} sample{'s' * (delay > 1)} before"] = late
+            for other in partners:
+                product = (late - centred_at[name]) * centred[other]
+                found[f"{name}(k-{delay}) * {other}"] = product
     return found
 
 
@@ -523,7 +570,8 @@ def _responses(
     early = np.concatenate([early, of.u], axis=1)
     own = {n: kept[n] for n in driven if n in kept}
     late = {n: early[:, :, k] for k, n in enumerate(inputs) if n in kept}
-    terms, of_inputs = _terms(kept, late), frozenset([*own, *_terms(own, late)])
+    partners = [n for n in (*inputs, *outputs) if n in kept]
+    terms, of_inputs = _terms(kept, late, partners), frozenset([*own, *_terms(own, late)])
     measured = {n: s for n, s in kept.items() if n in outputs}
     # A drift acts at the output; so does a sensor.
     time = np.broadcast_to(np.arange(y.shape[1], dtype=np.float64), y.shape[:2])

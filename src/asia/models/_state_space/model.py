@@ -261,7 +261,7 @@ def carried_records(
     """Estimate the pipe from records; return it, the records at its outlet, and their context.
     Raises UserError if input `pace` has values that are not positive."""
     try:
-        transport = find_transport(records, pace).transport
+        transport = find_transport(records, pace)
     except ValueError as error:
         raise UserError(f"neural_ss.Config: {error}; set transport to None") from error
     name = context.inputs[pace]

@@ -11,6 +11,7 @@ from asia.data import Signal, Trajectory
 from asia.data.segment import Segment
 from asia.judge.evaluation.error_analysis import (
     error_parts,
+    halved_step,
     missing_terms,
     modes,
     steps_ahead,
@@ -204,3 +205,36 @@ def test_the_place_of_a_nonlinearity_is_found_from_a_linear_model(nonlinear: str
     assert (term.where == "at the output") == (nonlinear == "output")
     if nonlinear != "output":
         assert ("u" in term.term) == (nonlinear == "input"), term
+
+
+@dataclass(frozen=True)
+class Euler:
+    """A lag with a time constant of 1 s, by Euler steps."""
+
+    steps: int
+
+    def simulate(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        x, found = past_y[:, -1], list[Any]()
+        for k in range(u.shape[1]):
+            found.append(x)
+            for _ in range(self.steps):
+                x = x + 0.5 / self.steps * (u[:, k] - x)
+        return np.stack(found, axis=1)
+
+    def halved(self) -> "Euler":
+        return Euler(2 * self.steps)
+
+
+@pytest.mark.parametrize(("steps", "matters"), [(1, True), (128, False)])
+def test_a_step_that_is_too_long_is_said(steps: int, matters: bool) -> None:
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.normal(size=(SAMPLES // 10, 1)), 10, axis=0)
+    past = u[:1], np.zeros((1, 1))
+    y = Euler(256).simulate(past[0][None], past[1][None], u[None])[0]
+    block = Segment(*past, u, y + 0.01 * rng.normal(size=y.shape), "r", start=1)
+    model = Euler(steps)
+    y_hat = model.simulate(past[0][None], past[1][None], u[None])[0]
+    found = halved_step(model, [block], [y_hat], np.ones(1))
+    assert found is not None
+    assert found.matters is matters
+    assert halved_step(Blind(Oscillator()), [block], [y_hat], np.ones(1)) is None

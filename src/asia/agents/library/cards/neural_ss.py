@@ -15,7 +15,8 @@ from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts
-from asia.data.statistics import Cause, switching, transport
+from asia.data.level_responses import set_delay
+from asia.data.statistics import Cause, switching
 from asia.recipe import Arguments, Recipe, Value
 
 
@@ -43,7 +44,7 @@ def _scheduled(facts: Facts) -> bool:
 
 
 def _space(facts: Facts) -> Space:
-    carried = transport(facts.records)
+    pace = set_delay(facts.records)
     places: tuple[Parameter, ...] = (
         OneOf("nonlinearity", ("state", "modal", "input", "output", "both", "none")),
         OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
@@ -57,7 +58,7 @@ def _space(facts: Facts) -> Space:
             OneOf("basis", ("scheduling", "tanh", "polynomial")),
             OneOf("degree", (2, 3)),
         )
-    paces = () if carried is None else (OneOf("transport", (None, carried.transport.pace)),)
+    paces = () if pace is None else (OneOf("transport", (None, pace)),)
     return Space(
         config=(
             OneOf("order", (None, 2, 3, 4)),
@@ -78,11 +79,9 @@ def _space(facts: Facts) -> Space:
 
 
 def _carried(at: Situation) -> Recipe:
-    found = transport(at.facts.records)
-    assert found is not None
     # It excludes a constant delay and the symmetries of plain inputs.
-    recipe = at.recipe.without("symmetry").configured(delay=0, transport=found.transport.pace)
-    return recipe.trained(starts=4)
+    pace = set_delay(at.facts.records)
+    return at.recipe.without("symmetry").configured(delay=0, transport=pace).trained(starts=4)
 
 
 # Share of the one-step error from which on a switching term is more than what smooth systems show,
@@ -254,7 +253,7 @@ CARD = Card(
         Move(
             name="delays set by an input",
             evidence=lambda c: (
-                SHOWN * (not c.recipe.has("transport") and transport(c.facts.records) is not None)
+                SHOWN * (not c.recipe.has("transport") and set_delay(c.facts.records) is not None)
             ),
             change=_carried,
             hypothesis="The delay grows as one of the inputs decreases: a flow or a speed that "
