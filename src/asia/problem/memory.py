@@ -130,11 +130,11 @@ class _Expansion:
             case Call("delay", (x, time)):
                 return self._delay(self._of(x, False), Number(1.0), self._of(time, False), ahead)
             case Call("plug_flow" | "plug_mean" as kind, (x, flow, volume)):
-                parts = (self._of(part, False) for part in (x, flow, volume))
-                return self._delay(*parts, ahead, mean=kind == "plug_mean")
+                entering, pace, size = (self._of(part, False) for part in (x, flow, volume))
+                return self._delay(entering, pace, size, ahead, mean=kind == "plug_mean")
             case Call("plug_flow", (x, flow, volume, dispersion)):
-                entering, *others = (self._of(part, False) for part in (x, flow, volume))
-                return self._dispersed(entering, *others, self._of(dispersion, True))
+                entering, pace, size = (self._of(part, False) for part in (x, flow, volume))
+                return self._dispersed(entering, pace, size, self._of(dispersion, True))
             case Call(function, arguments):
                 return Call(function, tuple(self._of(a, ahead) for a in arguments))
 
