@@ -84,7 +84,8 @@ def drawn(structure: GreyBoxStructure) -> tuple[Scales, np.ndarray, np.ndarray, 
     sizes = [rng.uniform(0.5, 1.5, (n, ROWS)) for n in (nx, nx, nx, nx, nu, nu, ny)]
     sizes[2] = sizes[0] + 0.3
     low, high = np.full((nx, ROWS), -50.0), np.full((nx, ROWS), 50.0)
-    scales = Scales(*sizes, low, high, rng.normal(size=(units, nx + nu + 1, ROWS)))
+    hidden = rng.normal(size=(units, structure.nx_own + nu + 1, ROWS))
+    scales = Scales(*sizes, low, high, hidden)
     z = 0.5 * rng.normal(size=(structure.layout.size, ROWS))
     x0 = rng.uniform(0.2, 1.0, (nx, ROWS, SEGMENTS))
     return scales, z, x0, np.repeat(rng.normal(size=(SAMPLES // 4, nu, SEGMENTS)), 4, axis=0)
