@@ -238,7 +238,7 @@ def _written(
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")
+    return float(f"{value:.6g}")
 
 
 @cache
