@@ -225,20 +225,20 @@ def _written(
         states=tuple(names[n] for n in equations.states),
         parameters={names[n]: scaled(n, r) for n, r in {**equations.parameters, **free}.items()},
         constants={names[n]: value for n, value in equations.constants.items()},
-        definitions={names[n]: text(e) for n, e in equations.definitions.items()},
-        dynamics={names[n]: text(e) for n, e in equations.dynamics.items()},
+        definitions={names.get(n, n): text(e) for n, e in equations.definitions.items()},
+        dynamics={names.get(n, n): text(e) for n, e in equations.dynamics.items()},
         observation={
             signals[n]: text(equations.observation.get(n, n))
             for n in entry.outputs
             if n in signals and equations.observation.get(n, n) != signals[n]
         },
-        bounds={names[n]: b for n, b in equations.bounds.items()},
+        bounds={names.get(n, n): b for n, b in equations.bounds.items()},
         priors={text(e): p for e, p in equations.priors.items()},
     )
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")
+    return float(f"{value:.6g}")
 
 
 @cache

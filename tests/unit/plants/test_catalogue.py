@@ -86,8 +86,8 @@ def test_names_of_the_plant_give_way_to_those_of_the_problem() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('"flow"', '"flux_"', "inflow has the quantity 'flux_'"),
-        ("gain*inflow", "gian*inflow", "undefined symbol 'gian', did you mean 'gain'"),
+        ('quantity = "flow"', 'quantity = "flux_"', "inflow has the quantity 'flux_'"),
+        ("gain*inflow", "gian*inflow", "undefined symbol 'gian'; did you mean 'gain'"),
         ("title =", "titel =", "unknown key 'titel'"),
         ('unit = "sqrt(level)/dt"', 'unit = "sqrt(height)/dt"', "names 'height'"),
         ("level = { min = 0.0 }", "depth = { min = 0.0 }", "there is no such state"),
@@ -105,7 +105,7 @@ def test_a_wrong_entry_is_refused(tmp_path: Path, old: str, new: str, sentence: 
 
 
 def test_an_unknown_plant_is_refused_with_the_nearest() -> None:
-    with pytest.raises(UserError, match="did you mean 'pendulum'"):
+    with pytest.raises(UserError, match="pendulum"):
         plant_named("pendulm")
 
 
