@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from asia.candidate import Context
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Intersample, Trajectory
 from asia.models import greybox
 from asia.models._config import check_at_least, demand
 from asia.models._equations.config import Sensor
@@ -61,6 +61,8 @@ class Config:
     """Weight of the squared coefficients of the network."""
     substeps: int = 2
     """Runge-Kutta steps a sample."""
+    intersample: Intersample | None = None
+    """As in `greybox.Config`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "count", "substeps")
@@ -115,6 +117,7 @@ def train(
         ridge=c.ridge,
         residual_ridge=c.residual_ridge,
         substeps=c.substeps,
+        intersample=c.intersample,
         sensor=c.sensor,
     )
     fitted = greybox.train(greybox.build(added, context), trajectories, context, method)

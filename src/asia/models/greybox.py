@@ -30,6 +30,7 @@ from asia.models._equations.ode import equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._least_squares import LevenbergMarquardt
+from asia.models._numerics.intersample import between
 from asia.problem.physics import Bounds, ParameterRange, Physics, Prior
 
 __all__ = ["Bounds", "Config", "GreyBox", "ParameterRange", "Physics", "Prior", "build", "train"]
@@ -272,8 +273,9 @@ def train(
     Initial states of the records are estimated with the parameters. A refit starts from the fold
     models. Logs the cost, which is the mean squared normalised error plus the ridge.
     """
-    segments = cut_segments(model.structure, trajectories, context.horizon)
-    structure = model.structure
+    acting = between(context.inputs, trajectories, model.structure.config.intersample)
+    structure = replace(model.structure, intersample=acting.kinds if acting.memory else ())
+    segments = cut_segments(structure, trajectories, context.horizon)
     if structure.time_step is not None:
         if method.noise_model != "white":
             raise UserError(
