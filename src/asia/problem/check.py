@@ -142,8 +142,8 @@ class CheckReport:
             lines = [
                 f"problem {problem.name}, sampled irregularly, every {steps.min():.3g} to "
                 f"{steps.max():.3g} s, median {np.median(steps):.3g} s: equations are integrated "
-                "from sample to sample, and inputs are held; spectra, delays, feedback and a "
-                "linear model need one sampling time and are left out"
+                "from sample to sample; spectra, delays, feedback and a linear model need one "
+                "sampling time and are left out"
             ]
         lines += [f"read: {text}" for text in problem.readings]
         lines += [_signal_line(s, irregular=place is not None) for s in self.signals]
