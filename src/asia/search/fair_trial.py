@@ -116,8 +116,11 @@ def variants_between(source: str, data: EvaluationData) -> dict[str, str]:
     if not undecided_inputs(inputs, data.records):
         return {}
     regular = not any(signal.role == "time_step" for signal in inputs)
-    kinds = [kind for kind in INTERSAMPLE if regular or kind != "band_limited"]
-    titles = {f"inputs {INTERSAMPLE[kind]} between samples": kind for kind in kinds}
+    titles = {
+        f"inputs {text} between samples": kind
+        for kind, text in INTERSAMPLE.items()
+        if regular or kind != "band_limited"
+    }
     return {
         title: known[0].configured(intersample=kind).source(title) for title, kind in titles.items()
     }
