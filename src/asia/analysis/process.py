@@ -18,7 +18,8 @@ from asia.data.process import (
     ProcessStructure,
     fit_transfer,
 )
-from asia.data.trajectory import Trajectory
+from asia.data.statistics import staircases
+from asia.data.trajectory import Intersample, Signal, Trajectory
 from asia.lowering.linear import ProcessModel
 
 __all__ = ["ProcessFit", "ProcessStructure", "fit_process"]
@@ -42,6 +43,8 @@ class ProcessFit:
     """Whether the records begin at rest."""
     fit: float
     """100 (1 - |error| / |output - mean|), in percent."""
+    between: tuple[Intersample, ...]
+    """Behaviour of each input between samples."""
 
     def statement(self, number: int, parameter: int, unit: str = "") -> Statement:
         """Statement of a parameter of an input."""
@@ -53,6 +56,7 @@ def fit_process(
     records: Sequence[Trajectory],
     output: int = 0,
     structures: Sequence[ProcessStructure] | None = None,
+    inputs: Sequence[Signal] = (),
 ) -> ProcessFit:
     """Fit process models to the simulation error of an output.
 
@@ -61,11 +65,20 @@ def fit_process(
         output: column of the output
         structures: form of the transfer function of each input; None takes those with the least
             Bayesian information criterion
+        inputs: signals of the problem, for their behaviour between samples; where it is left open
+            a staircase is held, and the criterion decides for the others
 
     Raises:
         UserError: for an output that does not change, and records that are too short
     """
-    transfer, step = fit_transfer(records, output, structures), records[0].sampling_time
+    between = tuple[Intersample | None, ...](
+        signal.intersample or ("zero" if stairs else None)
+        for signal, stairs in zip(
+            inputs or (Signal("u"),) * records[0].u.shape[1], staircases(records), strict=True
+        )
+    )
+    transfer = fit_transfer(records, output, structures, between)
+    step = records[0].sampling_time
     reasons = tuple(_reason(transfer, one) for one in transfer.inputs)
     parameters = tuple(() if one is None else _parameters(one, step) for one in transfer.inputs)
     models = tuple(
@@ -81,6 +94,7 @@ def fit_process(
         transfer.offset / (step if integrator else 1.0),
         transfer.at_rest,
         transfer.fit,
+        transfer.between,
     )
 
 

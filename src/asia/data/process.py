@@ -1,7 +1,7 @@
 """Transfer functions of lags and a delay, fitted to the records of one output.
 
 y(t) = offset + sum_j K_j (1 + Z_j s) e^(-L_j s) / (s^i_j (1 + T_1j s) ...) u_j(t) + v(t), inputs
-held between samples, v autoregressive noise. Each input has its own lags, zero, delay and
+held or linear between samples, v autoregressive noise. Each input has its own lags, zero, delay and
 integrator. Gains, zeros and offsets follow by least squares for given lags and delays, which are
 found by Levenberg-Marquardt steps from a scan of all delays (variable projection: Golub and
 Pereyra, SIAM J. Numer. Anal. 10(2), 1973). Errors are whitened by the noise's own filter, so that
@@ -22,7 +22,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data.trajectory import Array, Mask, Trajectory, deviations, is_constant
+from asia.data.trajectory import (
+    Array,
+    Intersample,
+    Mask,
+    Trajectory,
+    deviations,
+    is_constant,
+)
 from asia.errors import UserError
 
 T = TypeVar("T")
@@ -120,10 +127,15 @@ class OutputTransfer:
     """The same after the filter of the noise, over their deviation."""
     contributions: tuple[tuple[Array, ...], ...]
     """Simulated part (T,) of each input, by record."""
+    between: tuple[Intersample, ...] = ()
+    """Behaviour of each input between samples; () holds all."""
 
 
 def fit_transfer(
-    records: Sequence[Trajectory], output: int, structures: Sequence[ProcessStructure] | None = None
+    records: Sequence[Trajectory],
+    output: int,
+    structures: Sequence[ProcessStructure] | None = None,
+    between: Sequence[Intersample | None] = (),
 ) -> OutputTransfer:
     """Fit transfer functions to the simulation error of an output.
 
@@ -131,12 +143,14 @@ def fit_transfer(
         records: training records in physical units
         output: column of the output
         structures: form for each input; None chooses each by the Bayesian information criterion
+        between: behaviour of each input between samples, None where the criterion decides whether
+            it is held or linear; () holds all. A band-limited input is taken as linear.
 
     Raises:
         UserError: for an output that does not change, and records that are too short
     """
     given = None if structures is None else tuple(structures)
-    return _fitted(SameRecords(records), output, given)
+    return _fitted(SameRecords(records), output, given, tuple(between))
 
 
 class SameRecords:
@@ -170,9 +184,28 @@ def once_for_records(
 
 @lru_cache(maxsize=32)
 def _fitted(
-    same: SameRecords, output: int, structures: tuple[ProcessStructure, ...] | None
+    same: SameRecords,
+    output: int,
+    structures: tuple[ProcessStructure, ...] | None,
+    between: tuple[Intersample | None, ...],
 ) -> OutputTransfer:
-    data = _Data(same.records, output)
+    data, best = _searched(same, output, structures, tuple(kind or "zero" for kind in between))
+    if None in between:
+        kinds = tuple[Intersample, ...](kind or "first" for kind in between)
+        other, moving = _searched(same, output, structures, kinds)
+        held = data.on_rows_of(moving, best)
+        if moving.criterion + _EVIDENCE < held.criterion:
+            data, best = other, moving
+    return data.described(best)
+
+
+def _searched(
+    same: SameRecords,
+    output: int,
+    structures: tuple[ProcessStructure, ...] | None,
+    between: tuple[Intersample, ...],
+) -> tuple[_Data, _State]:
+    data = _Data(same.records, output, between)
     chosen = structures and tuple(structures[j] for j in data.moving)
     base = chosen or (ProcessStructure(1),) * len(data.moving)
     count = sum(s.lags + 2 + s.zero for s in base) + 1
@@ -185,7 +218,7 @@ def _fitted(
     best = data.start(base)
     if chosen is None:
         best = data.grown(best)
-    return data.described(best)
+    return data, best
 
 
 @dataclass(frozen=True)
@@ -223,7 +256,10 @@ class _State:
 class _Data:
     """Normalised records of one output, and the regressions on them."""
 
-    def __init__(self, records: Sequence[Trajectory], output: int) -> None:
+    def __init__(
+        self, records: Sequence[Trajectory], output: int, between: tuple[Intersample, ...]
+    ) -> None:
+        self.between = between
         kept: list[Trajectory] = []
         for record in records:
             left = _MOST_SAMPLES - sum(map(len, kept))
@@ -264,13 +300,21 @@ class _Data:
 
     def _input_columns(self, j: int, structure: ProcessStructure, phi: tuple[float, ...]) -> Array:
         """Outputs (rows, 1 or 2) of all records for unit weights of one input."""
-        chain = _Chain(np.exp(np.array(phi[:-1])), structure)
+        chain = _Chain(np.exp(np.array(phi[:-1])), structure, moving=self._is_linear(j))
         moved = chain.outputs(self._moves[:, :, j], *chain.filters(phi[-1]))
         first = self._initial[:, j]
         steady = first * (self._time if structure.integrator else 1.0)
         rest = [first * structure.integrator] * structure.zero
         pairs = zip(moved, [steady, *rest], strict=True)
         return np.stack([m.T[self._inside] + s for m, s in pairs], axis=1)
+
+    def _is_linear(self, j: int) -> bool:
+        """Whether a moving input is linear between samples."""
+        return bool(self.between) and self.between[self.moving[j]] != "zero"
+
+    def on_rows_of(self, other: _State, at: _State) -> _State:
+        """A state with its squares on the rows and after the filter of another."""
+        return self._solved(replace(at, noise=other.noise, skipped=other.skipped))[0]
 
     def _decays(self, at: _State) -> Array:
         """Free responses (longest, q) of the lags of all inputs."""
@@ -753,6 +797,7 @@ class _Data:
             size * self.y_std, adequate and size < spread,
             tuple(e * self.y_std for e in errors), tuple(e / deviation for e in innovations),
             tuple(tuple(p * self.y_std for p in part) for part in parts),
+            self.between,
         )  # fmt: skip
 
     def _parts(self, at: _State, weights: Array) -> list[list[Array]]:
@@ -864,12 +909,12 @@ class _Data:
         late = delay.value + min(2.0 * delay.error, 0.5)
         if structure.lags == 0 and not structure.integrator:
             return round(delay.value), True
-        first = math.floor(late + 1e-9) + 1
+        first = math.floor(late + 1e-9) + (not self._is_linear(j))
         window = list(range(max(first - 3, 0), first + 3))
         start = sum(1 + s.zero for s in at.structures[:j])
         own = weights[start : start + 1 + structure.zero]
         impulse = (
-            _Chain(np.exp(at.phi[place][:-1]), structure).impulse(
+            _Chain(np.exp(at.phi[place][:-1]), structure, moving=self._is_linear(j)).impulse(
                 float(at.phi[place][-1]), window[-1] + 2
             )
             @ own
@@ -908,9 +953,12 @@ class _Data:
 
 
 class _Chain:
-    """Outputs of lags, and an integrator, for held inputs. Time is in samples."""
+    """Outputs of lags, and an integrator, for inputs that are held or, `moving`, linear between
+    samples. Time is in samples."""
 
-    def __init__(self, lags: Array, structure: ProcessStructure) -> None:
+    def __init__(self, lags: Array, structure: ProcessStructure, *, moving: bool) -> None:
+        # Without lags and integrator the output has the values of the input at samples alone.
+        self.moving = moving and bool(len(lags) or structure.integrator)
         # Equal lags are set apart: partial fractions need it, and the effect is of second order.
         apart = np.sort(lags)
         for k in range(1, len(apart)):
@@ -939,9 +987,23 @@ class _Chain:
         found = [rise, slope] if self.structure.zero else [rise]
         return [np.where(still, 0.0, one) for one in found]
 
+    def _ramp(self, time: Array) -> list[Array]:
+        """Integrals of `step`."""
+        later = np.maximum(time, 0.0)
+        rise = self.step(time)[0]
+        part = (1.0 - np.exp(-later[:, None] / self.lags)) * self.shares
+        if self.structure.integrator:
+            ramp = later * (0.5 * later - self.lags.sum()) + part @ self.lags**2
+        else:
+            ramp = later - part @ self.lags
+        return [ramp, rise] if self.structure.zero else [ramp]
+
     def impulse(self, delay: float, samples: int) -> Array:
-        """Impulse response (samples, 1 or 2) of held inputs."""
+        """Responses (samples, 1 or 2) to an input that is 1 at one sample and 0 at the others."""
         late = float(round(delay)) if not len(self.lags) else delay
+        if self.moving:
+            ramps = self._ramp(np.arange(-1.0, samples + 1.0) - late)
+            return np.stack([np.diff(one, 2) for one in ramps], axis=1)
         steps = self.step(np.arange(-1.0, samples) - late)
         return np.stack([np.diff(one) for one in steps], axis=1)
 

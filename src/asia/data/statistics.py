@@ -20,7 +20,7 @@ from asia._progress import tracked
 from asia._statement import LEAST_FIT
 from asia.data.frequency import find_period, frequency_response
 from asia.data.process import OutputTransfer, fit_transfer, once_for_records
-from asia.data.trajectory import Array, Trajectory, deviations, is_constant
+from asia.data.trajectory import Array, Signal, Trajectory, deviations, is_constant
 from asia.errors import UserError
 
 
@@ -228,9 +228,7 @@ def _feedback(records: tuple[Trajectory, ...]) -> tuple[Array, Array]:
     chances, sizes = np.full((nu, ny), np.nan), np.zeros((nu, ny))
     if not used:
         return chances, sizes
-    lengths = [len(r) for r in used.values()]
-    order = max(min(_INPUT_LAGS, sum(lengths) // (12 * (nu + 1)), min(lengths) // 4), 1)
-    news = [_news(list(used.values()), j, order) for j in range(nu)]
+    news = _all_news(used)
     for i in range(ny):
         predictor = _predictor(records, i)
         if predictor is None:
@@ -252,13 +250,49 @@ def _feedback(records: tuple[Trajectory, ...]) -> tuple[Array, Array]:
     return chances, np.where(chances < FALSE_ALARMS, sizes, 0.0)
 
 
-def _strength(news: Sequence[Array], innovations: Sequence[Array]) -> tuple[float, float]:
-    """Chance of the largest correlation of an input's news with earlier innovations, and that
-    correlation."""
-    pairs = [
+def _all_news(records: dict[int, Trajectory]) -> list[list[Array] | None]:
+    """`_news` of every input."""
+    used = list(records.values())
+    lengths, nu = [len(r) for r in used], used[0].u.shape[1]
+    order = max(min(_INPUT_LAGS, sum(lengths) // (12 * (nu + 1)), min(lengths) // 4), 1)
+    return [_news(used, j, order) for j in range(nu)]
+
+
+@once_for_records
+def at_once(records: tuple[Trajectory, ...]) -> Array:
+    """Chance (nu, ny) of such a correlation of an output with an input in the same sample, both
+    given their past; nan where it was not tested.
+
+    An input that is held from its sample on cannot act there: below 0.01, the chance of one false
+    alarm over all pairs, it moves between samples, or there is a direct feedthrough, or the input
+    is computed from that output.
+    """
+    used = _usable(records)
+    chances = np.full((records[0].u.shape[1], records[0].y.shape[1]), np.nan)
+    news = _all_news(used) if used else []
+    for i in range(chances.shape[1]):
+        predictor = _predictor(records, i)
+        for j, new in enumerate(news):
+            if predictor is not None and new is not None:
+                pairs = _side_by_side(new, predictor.innovations)
+                chances[j, i] = 2.0 * NormalDist().cdf(-abs(_studentised(pairs, 0)))
+    tested = np.isfinite(chances)
+    chances[tested] = _holm(chances[tested])
+    return chances
+
+
+def _side_by_side(news: Sequence[Array], innovations: Sequence[Array]) -> list[tuple[Array, Array]]:
+    """An input's news and innovations of the same samples, by record."""
+    return [
         (a[-min(len(a), len(e)) :], e[-min(len(a), len(e)) :])
         for a, e in zip(news, innovations, strict=True)
     ]
+
+
+def _strength(news: Sequence[Array], innovations: Sequence[Array]) -> tuple[float, float]:
+    """Chance of the largest correlation of an input's news with earlier innovations, and that
+    correlation."""
+    pairs = _side_by_side(news, innovations)
     longest, samples = max(len(a) for a, _ in pairs), sum(len(a) for a, _ in pairs)
     near = min(_BACK, longest // 4)
     most = min(near + _FAR_LAGS, longest // 2)
@@ -681,6 +715,28 @@ def limit_shares(records: tuple[Trajectory, ...]) -> tuple[tuple[float, float], 
             shares.append(sum(held) / max(len(values), 1) if len(held) > 1 else 0.0)
         found.append((shares[0], shares[1]))
     return tuple(found)
+
+
+# Share of repeated samples from which an input is a staircase: one that is drawn anew at every
+# sample from two levels repeats half of them.
+_REPEATED = 1.0 / 3.0
+
+
+def staircases(records: Sequence[Trajectory]) -> tuple[bool, ...]:
+    """Return for each input whether it is constant over several samples at a time, as only an input
+    that is held between samples is."""
+    steps = np.concatenate([np.diff(r.u, axis=0) for r in records])
+    return tuple(bool(share >= _REPEATED) for share in (steps == 0.0).mean(axis=0))
+
+
+def undecided_inputs(inputs: Sequence[Signal], records: Sequence[Trajectory]) -> tuple[Signal, ...]:
+    """Inputs whose behaviour between samples neither the problem file nor a staircase in the
+    records decides."""
+    return tuple(
+        signal
+        for signal, stairs in zip(inputs, staircases(records), strict=True)
+        if signal.intersample is None and signal.role != "time_step" and not stairs
+    )
 
 
 def plateau_share(records: Sequence[Trajectory]) -> float:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeGuard
+from types import MappingProxyType
+from typing import Any, Final, Literal, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,12 @@ from asia.errors import UserError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Intersample = Literal["zero", "first", "band_limited"]
+"""Behaviour of an input between samples: held, on straight lines, or band-limited."""
+INTERSAMPLE: Final[Mapping[Intersample, str]] = MappingProxyType(
+    {"zero": "held", "first": "linear", "band_limited": "band-limited"}
+)
+"""Words for it, as in "inputs held between samples"."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +38,8 @@ class Signal:
     "scheduling": a measured input that the coefficients of linear models may follow.
     "time_step": an input that holds the time in s from each sample to the next, of records that are
     not sampled regularly."""
+    intersample: Intersample | None = None
+    """Behaviour of an input between samples; None leaves the choice to the search."""
 
     @property
     def is_actuated(self) -> bool:

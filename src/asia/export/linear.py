@@ -1,7 +1,7 @@
 """Linear models of a run: its model at operating points, with the fold models beside it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -11,7 +11,7 @@ from asia._progress import tracked
 from asia._statement import Statement, stated
 from asia.data.frequency import FrequencyRecord
 from asia.data.statistics import integrating, needs_loop
-from asia.data.trajectory import Array, Signal, Trajectory
+from asia.data.trajectory import Array, Intersample, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.pipeline import measured
 from asia.judge.evaluation.evaluator import Evaluator
@@ -30,6 +30,7 @@ from asia.lowering.linear import (
     split,
 )
 from asia.lowering.program import LoweredModel
+from asia.models._numerics.intersample import inputs_of
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.search.run import LOCK, make_evaluator
@@ -228,7 +229,7 @@ def linearize(
             y = evaluate(own.output, [*split(own, x), u])[0]
             point = OperatingPoint(x, u, y, float("nan"))
             others = [(one, OperatingPoint(starts(one)[0], u, y, float("nan"))) for one in folds]
-            points.append(_point(name, point, own, others, problem.sampling_time, rests=False))
+            points.append(_point(name, point, own, others, found, rests=False))
             continue
         u, y = (asked, None) if not isinstance(asked, str) else _asked(name, mean, signals)
         there = operating_points(own, starts(own), u, y)
@@ -256,7 +257,7 @@ def linearize(
                     near.append((one, nearest))
             label = name if len(there) == 1 else f"{name} ({place})"
             rests = bool(np.isfinite(point.residual))
-            points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
+            points.append(_point(label, point, own, near, found, rests=rests))
     noise = band_basis(evaluator, opened.view, opened.store, "ensemble").noise
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
@@ -280,6 +281,8 @@ class StepModels:
     """For preprocessed signals."""
     folds: tuple[LoweredModel, ...]
     """Fold models of the same candidate."""
+    between: tuple[Intersample, ...]
+    """Behaviour of each input between samples."""
 
 
 def step_models(
@@ -309,8 +312,10 @@ def step_models(
         if isinstance(one, str):
             raise UserError(f"run '{run.name}': the model cannot be lowered to steps: {one}")
         lowered.append(one)
+    source = run.store.text(member.source)
+    between = inputs_of(source, problem.inputs, evaluator.data.records)
     return StepModels(
-        use, tuple(notes), best.number, problem, evaluator, lowered[0], tuple(lowered[1:])
+        use, tuple(notes), best.number, problem, evaluator, lowered[0], tuple(lowered[1:]), between
     )
 
 
@@ -373,10 +378,12 @@ def _point(
     point: OperatingPoint,
     own: LoweredModel,
     folds: Sequence[tuple[LoweredModel, OperatingPoint]],
-    sampling_time: float,
+    models: StepModels,
     *,
     rests: bool,
 ) -> LinearPoint:
-    each = tuple(linearised(one, at, sampling_time) for one, at in folds)
-    model = linearised(own, point, sampling_time)
-    return LinearPoint(name, point, rests, model, each, ((own, point), *folds))
+    model, *each = (
+        replace(linearised(one, at, models.problem.sampling_time), inputs=models.between)
+        for one, at in ((own, point), *folds)
+    )
+    return LinearPoint(name, point, rests, model, tuple(each), ((own, point), *folds))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from asia.data.segment import SimulatedSegment
-from asia.data.trajectory import Array, Signal
+from asia.data.trajectory import Array, Intersample, Signal
 from asia.lowering.program import LoweredModel
 
 
@@ -38,7 +38,7 @@ class ExportModel:
     outputs: tuple[Signal, ...]
     """Names and units of the outputs."""
     sampling_time: float
-    """Sampling time in s; inputs are held in between."""
+    """Sampling time in s."""
     input_range: Array
     """(nu, 2): least and greatest in the training records."""
     output_range: Array
@@ -49,6 +49,8 @@ class ExportModel:
     """Bands of the simulated outputs."""
     notes: tuple[str, ...] = ()
     """Further notes, a sentence each."""
+    between: tuple[Intersample, ...] = ()
+    """Behaviour of each input between samples in the model with the most weight; () holds all."""
 
     def facts(self) -> dict[str, Any]:
         """Facts as numbers and texts, for a file next to every target."""
@@ -57,7 +59,7 @@ class ExportModel:
             "problem": self.problem,
             "model": self.use,
             "sampling_time": self.sampling_time,
-            "hold": "zero order",
+            "intersample": list(self.between or ("zero",) * len(self.inputs)),
             "inputs": _facts(self.inputs, self.input_range),
             "outputs": _facts(self.outputs, self.output_range),
             "past_inputs": self.lowered.n_past_u,

@@ -16,7 +16,7 @@ from asia._progress import tracked
 from asia._text import suggestion
 from asia.data.preprocess import Preprocess
 from asia.data.segment import Segment, SimulatedSegment
-from asia.data.trajectory import Array, Signal
+from asia.data.trajectory import INTERSAMPLE, Array, Signal
 from asia.errors import UserError
 from asia.export.model import Band, ExportModel
 from asia.export.target import ParityRow, Target, parity_row
@@ -31,6 +31,7 @@ from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run, scored_experiment
 from asia.lowering.program import Builder, LoweredModel, inlined
+from asia.models._numerics.intersample import inputs_of
 from asia.problem.load import load_lock
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import (
@@ -154,7 +155,7 @@ def usage_page(target: Target, model: ExportModel, rows: Sequence[ParityRow]) ->
         f"# {model.problem}: {model.use} of run {model.name}",
         "",
         f"Inputs {inputs}; outputs {outputs}; sampling time "
-        f"{model.sampling_time:g} s. Inputs are held between samples. The model starts from a "
+        f"{model.sampling_time:g} s. {_between(model)} The model starts from a "
         f"past window of {low.n_past_u} inputs and {low.n_past_y} outputs, the oldest first, and "
         "the input of the first sample. Output k belongs to input k.",
         "",
@@ -175,6 +176,16 @@ def usage_page(target: Target, model: ExportModel, rows: Sequence[ParityRow]) ->
             "inside the region of the training records."
         )
     return "\n".join([*lines, *model.notes, ""])
+
+
+def _between(model: ExportModel) -> str:
+    """Sentence on the inputs between samples."""
+    kinds = dict(zip((s.name for s in model.inputs), model.between, strict=False))
+    moving = [f"{name} is {INTERSAMPLE[kind]}" for name, kind in kinds.items() if kind != "zero"]
+    if not moving:
+        return "Inputs are held between samples."
+    rest = "; the others are held" if len(moving) < len(kinds) else ""
+    return f"Between samples {', '.join(moving)}{rest}."
 
 
 def table(rows: Sequence[ParityRow]) -> list[str]:
@@ -391,6 +402,7 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
     kept_delays(done, inputs)
     evaluator = make_evaluator(problem, run.view, isolation=isolation)
     parts: list[tuple[float, LoweredModel]] = []
+    heaviest = run.store.text(max(members, key=lambda one: one.weight).source)
     for member in tracked(members, "model"):
         models = [run.store.get(one) for one in member.models]
         with loading_stored_models(run.view):
@@ -427,6 +439,7 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
             example=windows[0].part(0, _EXAMPLE),
             bands=() if named is None else _bands(run, named, windows[0], done.decimate, isolation),
             notes=notes,
+            between=inputs_of(heaviest, inputs, evaluator.data.records),
         ),
         tuple(windows),
     )

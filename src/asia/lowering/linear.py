@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia._plugins import library
-from asia.data.trajectory import Array
+from asia.data.trajectory import Array, Intersample
 from asia.errors import UserError
 from asia.lowering.derivatives import derivatives, jacobian
 from asia.lowering.evaluation import evaluate
@@ -53,6 +53,8 @@ class LinearModel:
     """Inputs (nu,) of the operating point."""
     y0: Array
     """Outputs (ny,) of the operating point."""
+    inputs: tuple[Intersample, ...] = ()
+    """Behaviour of each input between samples; () holds all."""
 
     @property
     def order(self) -> int:
@@ -492,7 +494,9 @@ def reduced(model: LinearModel, order: int | None = None, tolerance: float = 0.0
 
 
 def continuous(model: LinearModel, tolerance: float = 0.0) -> tuple[LinearModel, int]:
-    """The continuous-time model whose zero-order-hold equivalent this is, after a common dead time.
+    """The continuous-time model whose equivalent this is, for the behaviour of its inputs between
+    samples, after a common dead time. Source: Franklin, Powell and Workman, Digital Control of
+    Dynamic Systems, 3rd ed., section 6.3 (first-order hold).
 
     Args:
         tolerance: largest change of the impulse response, as a share of its sum, in leaving out
@@ -504,25 +508,38 @@ def continuous(model: LinearModel, tolerance: float = 0.0) -> tuple[LinearModel,
     Raises:
         UserError: where there is none: poles at or on the negative real axis
     """
-    from scipy.linalg import logm
+    from scipy.linalg import expm, logm
 
-    delays = model.delay[model.delay >= 0]
-    dead = max(int(delays.min()) - 1, 0) if delays.size else 0
+    moving = np.array([kind != "zero" for kind in model.inputs or ("zero",) * model.b.shape[1]])
+    # A held input acts one sample late.
+    delays = (model.delay - ~moving)[model.delay >= 0]
+    dead = max(int(delays.min()), 0) if delays.size else 0
     if dead:
-        power = np.linalg.matrix_power(model.a, dead)
-        model = minimal(replace(model, b=power @ model.b))
+        first, power = (np.linalg.matrix_power(model.a, k) for k in (dead - 1, dead))
+        d = np.where(moving, model.c @ first @ model.b, model.d)
+        model = minimal(replace(model, b=power @ model.b, d=d))
     if _has_no_rate(model.poles).any():
         slow = _without_fast_modes(model, tolerance) if tolerance else None
         if slow is None:
             raise UserError(
                 "there is no continuous-time model: a pole lies at 0 or on the negative real axis, "
-                "which no zero-order hold of a continuous system gives"
+                "which no continuous system with such inputs gives"
             )
         model, dead = slow[0], dead + slow[1]
-    n, m = model.order, model.b.shape[1]
+    n, m, step = model.order, model.b.shape[1], model.sampling_time
     whole = np.block([[model.a, model.b], [np.zeros((m, n)), np.eye(m)]])
-    rate = np.asarray(np.real(np.asarray(logm(whole))), np.float64) / model.sampling_time
-    return replace(model, a=rate[:n, :n], b=rate[:n, n:], sampling_time=0.0), dead
+    rate = np.asarray(np.real(np.asarray(logm(whole))), np.float64) / step
+    found = replace(model, a=rate[:n, :n], b=rate[:n, n:], sampling_time=0.0)
+    if moving.any():
+        # Effects of a step and of a ramp on the states within a sample.
+        chain = np.zeros((3 * n, 3 * n))
+        chain[:n, :n], chain[:n, n : 2 * n] = step * found.a, step * np.eye(n)
+        chain[n : 2 * n, 2 * n :] = np.eye(n)
+        _, held, ramp = np.hsplit(np.asarray(expm(chain), np.float64)[:n], 3)
+        both = model.a @ ramp + held - ramp
+        b = np.where(moving, np.linalg.solve(both, model.b), found.b)
+        found = replace(found, b=b, d=np.where(moving, model.d - model.c @ ramp @ b, model.d))
+    return found, dead
 
 
 def _has_no_rate(poles: ComplexArray) -> NDArray[np.bool_]:

@@ -121,6 +121,19 @@ def repeated(step: Callable[[AnyArray], AnyArray], times: int, state: AnyArray) 
     return state
 
 
+def folded(
+    step: Callable[[AnyArray, AnyArray], AnyArray], state: AnyArray, rows: AnyArray
+) -> AnyArray:
+    """Apply `step(state, rows[k])` -> state to all rows."""
+    if len(rows) > 1 and namespace(state, rows) is not np:
+        import jax
+
+        return jax.lax.scan(lambda state, row: (step(state, row), None), state, rows)[0]
+    for row in rows:
+        state = step(state, row)
+    return state
+
+
 def scan(
     step: Callable[[Any, AnyArray], tuple[Any, AnyArray]], state: Any, inputs: AnyArray
 ) -> tuple[Any, AnyArray]:

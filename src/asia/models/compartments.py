@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from asia.candidate import Context
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Intersample, Trajectory
 from asia.models import greybox
 from asia.models._config import check_at_least, demand
 from asia.models._equations.config import Sensor
@@ -51,6 +51,8 @@ class Config:
     """Let a learned fraction of what a full storage cannot hold go into the next."""
     sensor: Sensor | None = None
     """A rising curve between content and output."""
+    intersample: Intersample | None = None
+    """As in `greybox.Config`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "count")
@@ -97,7 +99,10 @@ def train(
     physics = balances(c, trajectories, context)
     context = replace(context, physics=physics)
     added = greybox.Config(
-        saturation=physics.states if c.full else (), spill=c.spill, sensor=c.sensor
+        saturation=physics.states if c.full else (),
+        spill=c.spill,
+        intersample=c.intersample,
+        sensor=c.sensor,
     )
     fitted = greybox.train(greybox.build(added, context), trajectories, context, method)
     return replace(model, fitted=fitted)

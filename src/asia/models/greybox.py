@@ -30,6 +30,7 @@ from asia.models._equations.ode import equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments, with_memory
 from asia.models._least_squares import LevenbergMarquardt
+from asia.models._numerics.intersample import between
 from asia.problem.memory import LEAST_TIME
 from asia.problem.physics import Bounds, ParameterRange, Physics, Prior, check_physics
 
@@ -289,9 +290,19 @@ def train(
 
     Initial states of the records are estimated with the parameters. A refit starts from the fold
     models. Logs the cost, which is the mean squared normalised error plus the ridge.
+
+    Raises:
+        UserError: for inputs that are not held where the equations delay a signal, and noise models
+            with irregular samples
     """
-    segments = cut_segments(model.structure, trajectories, context.horizon)
-    structure = model.structure
+    acting = between(context.inputs, trajectories, model.structure.config.intersample)
+    if acting.memory and model.structure.equations.delays:
+        raise UserError(
+            "greybox: delay, plug_flow and plug_mean need inputs that are held between samples: "
+            'set intersample to "zero"'
+        )
+    structure = replace(model.structure, intersample=acting.kinds if acting.memory else ())
+    segments = cut_segments(structure, trajectories, context.horizon)
     if structure.time_step is not None:
         if method.noise_model != "white":
             raise UserError(

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from asia.candidate import Context
-from asia.data.trajectory import Trajectory
+from asia.data.trajectory import Intersample, Trajectory
 from asia.models import greybox
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models.greybox import GreyBox
@@ -31,6 +31,8 @@ class Config:
     """Hidden tanh units of the network."""
     ridge: float = 1e-2
     """Weight of the network's squared coefficients beside the mean squared normalised error."""
+    intersample: Intersample | None = None
+    """As in `greybox.Config`, in place of that of `base`."""
 
     def __post_init__(self) -> None:
         if self.units < 1 or self.ridge < 0:
@@ -51,7 +53,12 @@ def build(config: Config, context: Context) -> GreyBox:
             "hybrid: the problem has no [physics]; give states and dynamics, or use a black-box "
             "family"
         )
-    with_network = replace(config.base, residual=config.units, residual_ridge=config.ridge)
+    with_network = replace(
+        config.base,
+        residual=config.units,
+        residual_ridge=config.ridge,
+        intersample=config.intersample or config.base.intersample,
+    )
     return greybox.build(with_network, context)
 
 

@@ -28,10 +28,11 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
-from asia.data.trajectory import Array, Signal, Trajectory
+from asia.data.trajectory import Array, Intersample, Signal, Trajectory
 from asia.models import linear, neural_ss, uncertainty
 from asia.models._config import check_choice
 from asia.models._least_squares import LevenbergMarquardt
+from asia.models._numerics.intersample import Between, between
 from asia.models._numerics.training_records import measured_weight
 from asia.models._steps import FittedModel
 from asia.problem.plant import Plant, Unknown
@@ -47,6 +48,8 @@ SimulateFunction: TypeAlias = Callable[[Array, Mapping[str, float], Mapping[str,
 # three times as large is taken.
 _STEPS = (1e-4, 1e-3, 1e-2, 3e-2)
 _AGREEMENT, _WIDE = 0.1, _STEPS[2:]
+# Held parts of a sample that stand for an input that moves between samples.
+_PARTS = 8
 # Error, in standard deviations of the output, that stands for a simulation that failed.
 _FAILED = 1e3
 # Points drawn for each start of a search.
@@ -76,8 +79,12 @@ class Config:
     residual: ResidualModel | None = None
     """Family that is fitted to the error of the calibrated simulator, with the inputs and the
     simulated outputs as its inputs; None leaves it out."""
+    intersample: Intersample | None = None
+    """As in `greybox.Config`. The simulator is called with an eighth of the sampling time and the
+    inputs held at the middle of each part; an FMU that ASIA exported cannot be."""
 
     def __post_init__(self) -> None:
+        check_choice(self, "intersample", (None, *get_args(Intersample)))
         check_choice(self, "search", get_args(Search))
         check_choice(self, "residual", (None, *get_args(ResidualModel)))
 
@@ -111,6 +118,10 @@ class Simulator:
     n_past_u: int
     n_past_y: int
     fitted: _Calibration | None = None
+    between: Between | None = None
+    """Inputs between samples; None holds them, as in older models."""
+    time_step: int | None = None
+    """Input that holds the time to the next sample; None for one sampling time."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """Simulate in open loop, in physical units, from the start of the past window.
@@ -200,7 +211,8 @@ class Simulator:
 
     def run(self, u: Array, z: Array, start: Array) -> Array:
         """Simulate one record u (T, nu) at coordinates: outputs (T, ny)."""
-        call = _function(self.plant, self.inputs, self.outputs, self.sampling_time)
+        u, parts = self._in_parts(u)
+        call = _function(self.plant, self.inputs, self.outputs, self.sampling_time / parts)
         parameters = self._named(self.plant.parameters, z)
         initial = self._named(self.plant.initial, start)
         shown = ", ".join(f"{k}={v:.4g}" for k, v in (parameters | initial).items())
@@ -227,7 +239,21 @@ class Simulator:
                 f"[plant] {self.plant.label} returned NaN or infinity at sample {wrong[0] + 1} "
                 f"with {shown}{_last_lines(printed)}"
             )
-        return y
+        return y[::parts]
+
+    def _in_parts(self, u: Array) -> tuple[Array, int]:
+        """Inputs (T, nu) in equal parts of each sample, and the number of parts: the samples
+        themselves where the inputs are held."""
+        if self.between is None or not self.between.memory:
+            return u, 1
+        windows = np.moveaxis(self.between.windows(u), 0, -1)
+        found = self.between.stages(windows, _PARTS)[:, 1]
+        # At a sample its own input, which alone may act on its output.
+        found[0] = u.T
+        fine = np.moveaxis(found, -1, 0).reshape(-1, u.shape[1])[: 1 - _PARTS]
+        if self.time_step is not None:
+            fine[:, self.time_step] /= _PARTS
+        return fine, _PARTS
 
     def _start(self, fitted: _Calibration, u: Array, past_y: Array) -> Array:
         """Most probable initial state (Q,) at the start of a past window."""
@@ -327,6 +353,11 @@ def _unit_function(
     fmpy, described = _described(plant)
     # A unit of ASIA gives the output of a sample after the step.
     late = int(described.generationTool == "ASIA")
+    if late and not np.isclose(float(described.defaultExperiment.stepSize), sampling_time):
+        raise SimulatorError(
+            "an FMU that ASIA exported steps by its own sampling time: give its inputs "
+            'intersample = "zero"'
+        )
     kind = "CoSimulation" if described.coSimulation is not None else "ModelExchange"
 
     def simulate(u: Array, parameters: Mapping[str, float], initial: Mapping[str, float]) -> Array:
@@ -440,6 +471,7 @@ def build(config: Config, context: Context) -> Simulator:
         context.sampling_time,
         context.n_past_u,
         context.n_past_y,
+        time_step=next((i for i, s in enumerate(context.inputs) if s.role == "time_step"), None),
     )
 
 
@@ -454,6 +486,8 @@ def train(
     Raises:
         SimulatorError: if no simulation succeeds.
     """
+    acting = between(context.inputs, trajectories, model.config.intersample)
+    model = replace(model, between=acting)
     error = _SimulationError(model, trajectories)
     points = _draws(error, _DRAWS * method.starts, context.seed)
     costs = np.array([error.cost(point) for point in points])

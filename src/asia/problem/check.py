@@ -15,8 +15,17 @@ from asia.data.frequency import FrequencyResponse, find_period, frequency_respon
 from asia.data.intake.conversion import NOT_MEASURED
 from asia.data.level_responses import describe_levels
 from asia.data.relations import Repetition, find_repetition
-from asia.data.statistics import FALSE_ALARMS, Delay, delays, drifts, feedback, limit_shares
-from asia.data.trajectory import Array, Signal, Trajectory, is_constant
+from asia.data.statistics import (
+    FALSE_ALARMS,
+    Delay,
+    at_once,
+    delays,
+    drifts,
+    feedback,
+    limit_shares,
+    staircases,
+)
+from asia.data.trajectory import INTERSAMPLE, Array, Signal, Trajectory, is_constant
 from asia.errors import UserError
 from asia.problem.feedback import loop_lines
 from asia.problem.folds import splits, windows
@@ -134,11 +143,12 @@ class CheckReport:
             lines = [
                 f"problem {problem.name}, sampled irregularly, every {steps.min():.3g} to "
                 f"{steps.max():.3g} s, median {np.median(steps):.3g} s: equations are integrated "
-                "from sample to sample, and inputs are held; spectra, delays, feedback and a "
-                "linear model need one sampling time and are left out"
+                "from sample to sample; spectra, delays, feedback and a linear model need one "
+                "sampling time and are left out"
             ]
         lines += [f"read: {text}" for text in problem.readings]
         lines += [_signal_line(s, irregular=place is not None) for s in self.signals]
+        lines += between_lines(problem)
         lines += [
             f"record {t.name}: {len(t)} samples, "
             f"{len(t) * t.sampling_time if place is None else t.u[:, place].sum():g} s"
@@ -481,6 +491,36 @@ def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
         for given, delay in zip(problem.inputs, row, strict=True)
         if delay is not None
     )
+
+
+def between_lines(problem: Problem) -> list[str]:
+    """Say of each input how it behaves between samples: by the problem file, or by the records."""
+    u = np.concatenate([t.u for t in problem.train])
+    stairs = staircases(problem.train)
+    quick = np.full((len(problem.inputs), len(problem.outputs)), np.nan)
+    if problem.channels.time_step is None:
+        quick = at_once(problem.train)
+    lines: list[str] = []
+    compared = "models in continuous time are compared with held, linear and band-limited inputs"
+    for j, signal in enumerate(problem.inputs):
+        if signal.role == "time_step" or is_constant(u[:, j]):
+            continue
+        followed = [
+            o.name for o, c in zip(problem.outputs, quick[j], strict=True) if c < FALSE_ALARMS
+        ]
+        if signal.intersample is not None:
+            text = f"{INTERSAMPLE[signal.intersample]} between samples, by the problem file"
+        elif stairs[j]:
+            text = "held between samples: it is constant over several at a time"
+        elif followed:
+            text = (
+                f"{', '.join(followed)} depends on it in the same sample, so it is not held "
+                f"between samples, acts at once, or is computed from that output; {compared}"
+            )
+        else:
+            text = f"the records do not show how it behaves between samples; {compared}"
+        lines.append(f"input {signal.name}: {text}")
+    return lines
 
 
 def delay_lines(problem: Problem) -> list[str]:

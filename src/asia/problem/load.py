@@ -214,6 +214,13 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
             )
     if any(s.role for s in file.outputs) or all(s.role for s in file.inputs):
         raise UserError("a role belongs to an input, and at least one input must have none")
+    if any(s.intersample for s in file.outputs):
+        raise UserError("intersample belongs to an input: leave it out of the outputs")
+    if channels.time_step is not None and any(s.intersample == "band_limited" for s in file.inputs):
+        raise UserError(
+            'intersample = "band_limited" needs one sampling time: give "first" or "zero" with '
+            "irregular samples"
+        )
     if channels.time_step is not None:
         _check_irregular(file)
     physics, done, rule = file.physics, file.preprocess, file.protocol.rule()

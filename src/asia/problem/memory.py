@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from asia.errors import UserError
@@ -71,8 +71,18 @@ class Expanded:
 
 def has_memory(physics: Physics) -> bool:
     """Whether an equation calls an operator that remembers past samples."""
+    return _is_called(physics, MEMORY)
+
+
+def delays_signals(physics: Physics) -> bool:
+    """Whether an equation calls such an operator other than `lag`."""
+    return _is_called(physics, MEMORY.keys() - {"lag"})
+
+
+def _is_called(physics: Physics, operators: Collection[str]) -> bool:
     texts = *physics.definitions.values(), *physics.dynamics.values(), *physics.observation.values()
-    return any(_calls(parse_expression(t, "[physics]", memory=True).root) for t in texts)
+    roots = (parse_expression(t, "[physics]", memory=True).root for t in texts)
+    return any(_calls(root, operators) for root in roots)
 
 
 def expanded(physics: Physics, outputs: Sequence[str]) -> Expanded:
@@ -213,8 +223,8 @@ def _parsed(texts: Mapping[str, str], name: str, section: str) -> Node:
     return parse_expression(texts.get(name, name), f"[physics.{section}] {name}", memory=True).root
 
 
-def _calls(node: Node) -> bool:
-    return any(isinstance(n, Call) and n.function in MEMORY for n in _nodes(node))
+def _calls(node: Node, operators: Collection[str] = MEMORY) -> bool:
+    return any(isinstance(n, Call) and n.function in operators for n in _nodes(node))
 
 
 def _nodes(node: Node) -> Iterator[Node]:

@@ -19,17 +19,21 @@ from typing import TypeVar
 
 import numpy as np
 
+from asia.agents.library.family import Family
 from asia.agents.registry import library_candidate
 from asia.agents.view import LINEAR, PARENT
-from asia.candidate import source_digest
-from asia.data.trajectory import Array
-from asia.errors import Reason
+from asia.candidate import Context, source_digest
+from asia.data.statistics import undecided_inputs
+from asia.data.trajectory import INTERSAMPLE, Array
+from asia.errors import Reason, UserError
 from asia.judge.evaluation import references
-from asia.judge.evaluation.evaluator import Evaluation, Evaluator
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Landed, Proposed, Variant
 from asia.ledger.view import Experiment, SearchView
-from asia.recipe import EQUATIONS, with_chosen_equations
+from asia.problem.memory import delays_signals
+from asia.problem.physics_text import read_physics
+from asia.recipe import EQUATIONS, Recipe, read_recipe, with_chosen_equations
 
 _Key = TypeVar("_Key")
 PROPOSED = "as proposed"
@@ -67,10 +71,11 @@ def first_fit(
         store: artifacts of the search
     """
     fair = proposed is not None and proposed.fair
-    begins = _begins_with(view, proposed, store)
+    begins, parent = _begins_with(view, proposed, store), _parent(view, proposed)
+    if parent is not None and store is not None:
+        source = with_inputs_of(source, store.text(parent.source), evaluator.data.context)
     sources, variants = choice(evaluator, source, begins, fair=fair)
     source = next((sources[v.name] for v in variants if v.chosen), source)
-    parent = _parent(view, proposed)
     if begins.get(PARENT) == source and parent is not None and parent.result and store is not None:
         return Tried(source, evaluation_of(parent.result, store), variants)
     return Tried(source, evaluator.evaluate(source), variants)
@@ -79,17 +84,79 @@ def first_fit(
 def choice(
     evaluator: Evaluator, source: str, begins: Mapping[str, str], *, fair: bool = False
 ) -> tuple[dict[str, str], tuple[Variant, ...]]:
-    """Sources of the variants of a candidate, and their comparison; the arguments as for
-    `variants_of`."""
+    """Sources of the variants of a candidate, and their comparison: first those of its inputs
+    between samples, then the others. The arguments are those of `variants_of`."""
+    between, inputs = variants_between(source, evaluator.data), tuple[Variant, ...]()
+    if between and evaluator.data.inner_folds:
+        inputs = compared(evaluator, between, rises=1)
+        source = next((between[v.name] for v in inputs if v.chosen), source)
+    sources, variants = _other_choice(evaluator, source, begins, fair=fair)
+    if not any(v.chosen for v in variants):
+        return between, inputs
+    earlier = (replace(v, chosen=False) for v in inputs)
+    return {**between, **sources}, (*earlier, *variants)
+
+
+def with_inputs_of(source: str, parent: str, context: Context) -> str:
+    """Source with the inputs between samples as its parent has them, where it leaves them open."""
+    known, other = library_candidate(source), read_recipe(parent)
+    stated = None if other is None else other.get("intersample")
+    if known is None or stated is None or not _is_open_between(*known, context):
+        return source
+    return known[0].configured(intersample=stated).source("inputs as in its parent")
+
+
+def variants_between(source: str, data: EvaluationData) -> dict[str, str]:
+    """Sources with each behaviour of the inputs between samples, by name; none where the candidate
+    states one, its family has none or delays signals, or the problem file and the records
+    decide."""
+    known, inputs = library_candidate(source), data.context.inputs
+    if known is None or not _is_open_between(*known, data.context):
+        return {}
+    if not undecided_inputs(inputs, data.records):
+        return {}
+    regular = not any(signal.role == "time_step" for signal in inputs)
+    titles = {
+        f"inputs {text} between samples": kind
+        for kind, text in INTERSAMPLE.items()
+        if regular or kind != "band_limited"
+    }
+    return {
+        title: known[0].configured(intersample=kind).source(title) for title, kind in titles.items()
+    }
+
+
+def _is_open_between(recipe: Recipe, row: Family, context: Context) -> bool:
+    if not row.intersample or recipe.has("intersample"):
+        return False
+    return "physics" not in row.needs or not _needs_held(recipe, context)
+
+
+def _needs_held(recipe: Recipe, context: Context) -> bool:
+    """Whether equations of a candidate delay signals, so that its inputs are held."""
+    texts = recipe.get("physics")
+    try:
+        found = [read_physics(str(t)) for t in texts] if isinstance(texts, tuple) else []
+        if not found and context.physics is not None:
+            found = [context.physics]
+        return any(map(delays_signals, found))
+    except UserError:
+        # The fit says what is wrong.
+        return True
+
+
+def _other_choice(
+    evaluator: Evaluator, source: str, begins: Mapping[str, str], *, fair: bool
+) -> tuple[dict[str, str], tuple[Variant, ...]]:
     sources = variants_of(source, begins, fair=fair)
     # Equations come in no order.
     whole = any(name.startswith(EQUATIONS) for name in sources)
     possible = sources and evaluator.data.inner_folds
-    variants = compared(evaluator, sources, whole=whole) if possible else ()
+    variants = compared(evaluator, sources, rises=len(sources) if whole else 2) if possible else ()
     if any(v.error and v.behind <= v.deviation and v.name not in begins for v in variants):
         finer = variants_of(source, begins, fair=fair, values=finer_path(source, variants))
         if finer.keys() - sources.keys():
-            sources, variants = finer, compared(evaluator, finer, whole=True)
+            sources, variants = finer, compared(evaluator, finer, rises=len(finer))
     return sources, variants
 
 
@@ -187,21 +254,17 @@ def finer_path(source: str, variants: Sequence[Variant]) -> tuple[float, ...]:
 
 
 def compared(
-    evaluator: Evaluator, sources: Mapping[str, str], *, whole: bool = False
+    evaluator: Evaluator, sources: Mapping[str, str], *, rises: int = 2
 ) -> tuple[Variant, ...]:
-    """Fit variants on the inner folds, from simple to free until their error rose twice, and choose
-    one.
-
-    Args:
-        whole: whether all are fitted
-    """
+    """Fit variants on the inner folds, from simple to free until their error rose so many times,
+    and choose one."""
     errors: list[tuple[float, ...] | Reason] = []
-    means, rises = list[float](), 0
+    means, rose = list[float](), 0
     for source in sources.values():
         errors.append(evaluator.inner_errors(source))
         means.append(inf if isinstance(errors[-1], Reason) else fmean(errors[-1]))
-        rises += len(means) > 1 and means[-1] >= means[-2]
-        if rises == 2 and not whole:
+        rose += len(means) > 1 and means[-1] >= means[-2]
+        if rose == rises:
             break
     return chosen_of(list(sources)[: len(errors)], errors)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from asia.analysis.process import ProcessFit, ProcessStructure, fit_process
-from asia.data import Trajectory
+from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.lowering.linear import ProcessModel
 
@@ -27,6 +28,35 @@ def binary(samples: int, seed: int) -> np.ndarray:
 
 def holds(found: ProcessFit, values: dict[str, float]) -> list[bool]:
     return [one.low <= values[one.name] <= one.high for one in found.parameters[0]]
+
+
+@pytest.mark.parametrize(
+    ("lags", "integrator", "late"),
+    [((3.0,), False, 0.4), ((4.0, 1.5), False, 0.0), ((2.0,), True, 1.3)],
+)
+def test_inputs_that_are_linear_between_samples_are_found_as_such(
+    lags: tuple[float, ...], integrator: bool, late: float
+) -> None:
+    """The output is that of the same input in 100 held parts of a sample."""
+    random = np.random.default_rng(0)
+    u, fine = random.normal(size=400), np.arange(400 * 100) / 100 - late
+    u[0] = 0.0
+    inside = np.interp(fine + 0.005, np.arange(400.0), u)
+    y = inside
+    for lag in lags:
+        pole = np.exp(-0.01 / lag)
+        y = lfilter([0.0, 1.0 - pole], [1.0, -pole], y)
+    y = 2.0 * (lfilter([0.0, 0.01], [1.0, -1.0], y) if integrator else y)[::100]
+    noisy = y + 0.003 * y.std() * random.normal(size=400)
+    record = Trajectory(u[:, None], noisy[:, None], 1.0, "r")
+    structure = [ProcessStructure(len(lags), False, integrator)]
+    found = fit_process([record], 0, structure)
+    assert found.between == ("first",)
+    values = [p.value for p in found.parameters[0]]
+    assert values == pytest.approx([2.0, *lags, late], rel=0.05, abs=0.05)
+    held = fit_process([record], 0, structure, [Signal("u", intersample="zero")])
+    assert held.between == ("zero",)
+    assert held.fit < found.fit
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.data.relations import Transport
 from asia.data.segment import SimulatedSegment
+from asia.data.trajectory import Intersample
 from asia.export.model import ExportModel
 from asia.export.pipeline import Ready
 from asia.lowering.program import LoweredModel
@@ -20,6 +21,7 @@ from asia.models import (
     autoregressive,
     cascaded_ltc,
     cnn,
+    greybox,
     koopman,
     linear,
     ltc,
@@ -28,6 +30,8 @@ from asia.models import (
     subnet,
     transformer,
 )
+from asia.models._equations.fit import FittedEquations
+from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import affine
 from asia.models._numerics.lags import History, Lags, OutputRange
@@ -35,6 +39,7 @@ from asia.models._numerics.scaling import Scaling
 from asia.models._one_step import FreeRunModel, Polynomial, PolynomialRun, all_terms
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
+from asia.problem.physics import ParameterRange, Physics
 from tests.unit.models.systems.memory import remembering
 
 NU, NY, PAST = 2, 2, 3
@@ -141,8 +146,27 @@ MODELS: dict[str, Callable[[], Any]] = {
     "cascaded_ltc": lambda: network(cascaded_ltc, slow=3, fast=3, width=4),
     "cnn": lambda: network(cnn, receptive_field=8, width=3, memory=3),
     "koopman": lambda: network(koopman, states=2, width=3, lift=2),
+    "grey-box, linear inputs": lambda: grey_box("first", "zero"),
+    "grey-box, band-limited inputs": lambda: grey_box("band_limited", "first"),
     "transformer": lambda: network(transformer, width=6, heads=2, inner=4, span=5),
 }
+
+
+def grey_box(*between: Intersample) -> greybox.GreyBox:
+    """Two lags whose inputs behave so between samples."""
+    physics = Physics(
+        states=("a", "b"),
+        dynamics={"a": "k*(u0 - 1) - a", "b": "a*(1 + 0.1*a) - 2*b + 0.3*(u1 + 2)"},
+        parameters={"k": ParameterRange(0.5, 2.0)},
+        observation={"y0": "5 + b", "y1": "0.1 + a - b"},
+    )
+    built = greybox.build(greybox.Config(), replace(CONTEXT, physics=physics))
+    ones = [np.ones(n) for n in (2, 2, 2, 2, 2, 2, 2)]
+    scales = Scales(*ones, np.full(2, -50.0), np.full(2, 50.0), np.zeros((0, 5)))
+    mean = 0.1 * np.random.default_rng(4).normal(size=(2, 1 + PAST * (NU + NY)))
+    prior = WindowPrior(mean, np.full(2, 0.3), SCALING.y_mean, np.full(2, 0.1))
+    fitted = FittedEquations(np.array([0.2]), scales, prior, np.zeros(1))
+    return greybox.GreyBox(replace(built.structure, intersample=between), fitted)
 
 
 def lowered_model(model: Any) -> LoweredModel:

@@ -90,6 +90,16 @@ def test_continuous_time_inverts_the_hold_and_names_the_dead_time() -> None:
         assert samples == dead
         assert np.abs(np.sort_complex(found.poles) - np.sort_complex(plant.poles())).max() < 1e-8
         assert found.gain == pytest.approx(plant.dcgain())
+    # The same plant with an input that is linear between samples.
+    for extra, dead in ((control.c2d(plant, 0.1, method="foh"), 0), (None, 2)):
+        made = control.c2d(plant, 0.1, method="foh") * late if extra is None else extra
+        one = LinearModel(made.A, made.B, made.C, made.D, 0.1, np.zeros(1), np.zeros(1), ("first",))
+        found, samples = continuous(minimal(one))
+        assert samples == dead
+        frequencies = np.geomspace(0.01, 3.0, 20)
+        expected = plant(2j * np.pi * frequencies)
+        assert found.response(frequencies)[:, 0, 0] == pytest.approx(expected, rel=1e-8)
+        assert np.abs(found.d).max() < 1e-9
     swinging = LinearModel(
         np.array([[-0.5]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.1,
         np.zeros(1), np.zeros(1),

@@ -9,7 +9,7 @@ import pytest
 
 from asia.data import Signal, Trajectory
 from asia.problem import Correction, Prior
-from asia.problem.check import check_problem
+from asia.problem.check import between_lines, check_problem
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem, Seal
@@ -74,6 +74,24 @@ def test_white_noise_excites_every_order(tanks: Problem) -> None:
     check = check_problem(with_signals(tanks, u, u), Seal(None)).signals[0]
     assert check.excitation_order == 50
     assert check.bandwidth_share > 0.9
+
+
+def test_inputs_between_samples_are_described(tanks: Problem) -> None:
+    random = np.random.default_rng(0)
+    u = random.standard_normal((400, 4))
+    u[:, 1] = np.repeat(u[:100, 1], 4)
+    u[:, 3] = 1.0
+    problem = with_signals(tanks, u, u[:, :1] + 0.1 * random.standard_normal((400, 1)))
+    names = problem.inputs
+    problem = replace(
+        problem, inputs=(*names[:2], replace(names[2], intersample="first"), names[3])
+    )
+    lines = between_lines(problem)
+    assert len(lines) == 3
+    assert lines[0].startswith("input u0: tank2_level depends on it in the same sample")
+    assert lines[1] == "input u1: held between samples: it is constant over several at a time"
+    assert lines[2] == "input u2: linear between samples, by the problem file"
+    assert set(lines) <= set(check_problem(problem, Seal(None)).lines())
 
 
 def test_doubts_are_said(tanks: Problem) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from asia.agents import AgentView, Proposal
 from asia.agents.library.registry import all_families, family
-from asia.data import Trajectory
+from asia.candidate import Context
+from asia.data import Signal, Trajectory
 from asia.errors import Reason
 from asia.interfaces.cli.show import describe, wide_console
 from asia.judge.evaluation.evaluator import EvaluationData
@@ -25,6 +26,8 @@ from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
+from asia.problem.physics import ParameterRange, Physics
+from asia.problem.physics_text import written_physics
 from asia.problem.protocol import EarlyStopping, FoldRule, ProtocolRule
 from asia.recipe import Recipe, read_recipe
 from asia.search.fair_trial import (
@@ -33,7 +36,9 @@ from asia.search.fair_trial import (
     chosen_of,
     compared,
     finer_path,
+    variants_between,
     variants_of,
+    with_inputs_of,
 )
 from asia.search.replay import replay_run
 from asia.search.run import prepare, search
@@ -43,6 +48,7 @@ from .toy import arx, search_toy, write_problem
 
 LM = "LevenbergMarquardt", (("iterations", 5), ("starts", 1))
 BEGUN = {"linear": LINEAR}
+CONTEXT = Context((Signal("u"),), (Signal("y"),), 1.0, 2, 2)
 OPEN = Recipe("neural_ss", (("hidden", 2),), *LM)
 
 
@@ -76,6 +82,57 @@ def test_a_fair_trial_of_any_other_model_is_against_the_linear_one() -> None:
     assert variants_of(network, {}, fair=True) == {}
     for source in (LINEAR, arx(2), Recipe("greybox", (), *LM).source("")):
         assert variants_of(source, BEGUN, fair=True) == {}
+
+
+def test_inputs_between_samples_are_open_until_someone_states_them() -> None:
+    u = np.random.default_rng(0).normal(size=(60, 1))
+    record = Trajectory(u, u, 1.0, "r")
+    stairs = replace(record, u=np.repeat(u[:20], 3, axis=0))
+
+    def kinds(recipe: Recipe, record: Trajectory = record, **given: Any) -> list[Any]:
+        context = replace(CONTEXT, inputs=(Signal("u", **given),))
+        data = cast(Any, SimpleNamespace(context=context, records=(record,)))
+        found = variants_between(recipe.source(""), data)
+        read = [read_recipe(source) for source in found.values()]
+        return [one.get("intersample") for one in read if one is not None]
+
+    plain = Recipe("greybox", (), *LM)
+    for name in ("greybox", "hybrid", "simulator", "compartments"):
+        assert kinds(replace(plain, family=name)) == ["zero", "first", "band_limited"]
+    assert kinds(replace(plain, family="linear")) == []
+    assert kinds(plain.configured(intersample="first")) == []
+    assert kinds(plain, intersample="zero") == []
+    assert kinds(plain, stairs) == []
+    assert kinds(plain, role="time_step") == []
+
+
+def test_equations_that_delay_a_signal_keep_their_inputs_held() -> None:
+    u = np.random.default_rng(0).normal(size=(60, 1))
+    records = (Trajectory(u, u, 1.0, "r"),)
+    plain, parent = Recipe("greybox", (), *LM), Recipe("greybox", (("intersample", "first"),), *LM)
+    for term, count in (("u", 3), ("lag(u, 2)", 3), ("delay(u, 2)", 0), ("plug_flow(u, 1, k)", 0)):
+        physics = Physics(("y",), {"y": f"{term} - k*y"}, {"k": ParameterRange(0.1, 1.0)})
+        context = replace(CONTEXT, physics=physics)
+        own = plain.configured(physics=(written_physics(physics),))
+        for recipe, where in ((plain, context), (own, CONTEXT), (own, context)):
+            data = cast(Any, SimpleNamespace(context=where, records=records))
+            source = recipe.source("")
+            assert len(variants_between(source, data)) == count
+            assert (with_inputs_of(source, parent.source(""), where) == source) == (count == 0)
+        compartments = cast(Any, SimpleNamespace(context=context, records=records))
+        source = Recipe("compartments", (), *LM).source("")
+        assert len(variants_between(source, compartments)) == 3
+
+
+def test_a_child_has_the_inputs_of_its_parent_between_samples() -> None:
+    parent = Recipe("greybox", (("intersample", "first"),), *LM).source("")
+    child = Recipe("hybrid", (("units", 2),), *LM)
+    found = read_recipe(with_inputs_of(child.source(""), parent, CONTEXT))
+    assert found is not None
+    assert found.key == child.configured(intersample="first").key
+    for source in (child.configured(intersample="zero").source(""), LINEAR, "x = 1\n"):
+        assert with_inputs_of(source, parent, CONTEXT) == source
+    assert with_inputs_of(child.source(""), LINEAR, CONTEXT) == child.source("")
 
 
 @pytest.mark.parametrize(

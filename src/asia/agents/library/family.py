@@ -137,6 +137,9 @@ class Family:
     """Methods, besides the gradient methods, that can stop by the score on the held-out part."""
     irregular: bool = False
     """Whether it can use records that are not sampled regularly."""
+    intersample: bool = False
+    """Whether it is in continuous time: its setting `intersample` is the behaviour of the inputs
+    between samples, which a search chooses where a recipe leaves it open."""
     feedback: bool = False
     """Whether it has methods for records from a closed loop. Others fit biased gains to them, which
     V does not show."""

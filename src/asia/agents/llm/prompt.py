@@ -24,7 +24,7 @@ from asia.agents.llm.control import (
 from asia.agents.view import AgentView, Facts, Running, Trial
 from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data.frequency import FrequencyRecord
-from asia.data.trajectory import Signal
+from asia.data.trajectory import INTERSAMPLE, Signal
 from asia.presentation.experiments import error_line
 from asia.problem.metrics import find_metric, metric_label
 from asia.problem.physics import Physics
@@ -109,7 +109,7 @@ context), and fit that calls both.
   read-only, and len(). They hold the samples of the fold only; cut past windows from inside them.
 - simulate gets past_u (B, {pu}, {nu}), past_y (B, {py}, {ny}), u (B, H, {nu}) and returns y_hat
   (B, H, {ny}) as float64, finite. u[:, k] and y_hat[:, k] are the same sample; past_*[:, -1] is the
-  one before the first. Inputs are held between samples.
+  one before the first. Between samples inputs are held, if nothing else is known of them.
 - Better still, the model also has initial(past_u, past_y, u), a state from the past and the first
   input (B, {nu}), and step(state, u), which returns the next state and the output (B, {ny}) of this
   sample: then it is scored by these, sample by sample. Without them simulate is called for up to 64
@@ -219,6 +219,9 @@ def signal_lines(facts: Facts) -> Iterator[str]:
     for kind, signals in (("u", facts.inputs), ("y", facts.outputs)):
         labels = ", ".join(f"[{i}] {one_line(s.label, 60)}" for i, s in enumerate(signals))
         yield f"{kind}: {labels}"
+    for s in facts.inputs:
+        if s.intersample is not None:
+            yield f"between samples {one_line(s.name, 60)} is {INTERSAMPLE[s.intersample]}"
 
 
 def _judgement(facts: Facts) -> Iterator[str]:

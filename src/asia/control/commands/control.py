@@ -366,7 +366,15 @@ def loop_of_run(
         nearest = min(there.points, key=lambda place: abs(float(place.at.y[i]) - y0))
         others[f"#{one.number:02d} {one.proposed.family}"] = nearest
     models = [
-        replace(m, b=m.b[:, [j]], c=m.c[[i]], d=m.d[[i]][:, [j]], u0=m.u0[[j]], y0=m.y0[[i]])
+        replace(
+            m,
+            b=m.b[:, [j]],
+            c=m.c[[i]],
+            d=m.d[[i]][:, [j]],
+            u0=m.u0[[j]],
+            y0=m.y0[[i]],
+            inputs=m.inputs[j : j + 1],
+        )
         for m in (point.model, *point.folds, *(one.model for one in others.values()))
     ]
     beside = _beside(point.model, found.inputs, found.outputs[i], i, j)

@@ -506,7 +506,8 @@ def _fitted(
     found: list[ProcessFit | None] = []
     for i in tracked(range(len(outputs)), "output"):
         try:
-            found.append(fit_process(records, i) if len(inputs) <= _MOST_INPUTS else None)
+            few = len(inputs) <= _MOST_INPUTS
+            found.append(fit_process(records, i, inputs=inputs) if few else None)
         except (UserError, ValueError):
             found.append(None)
     return found
@@ -516,6 +517,8 @@ def _fitted_lines(
     fitted: Sequence[ProcessFit | None], inputs: Sequence[Signal], outputs: Sequence[Signal]
 ) -> Iterator[str]:
     """Yield the process models of the records with their intervals."""
+    from asia.data.trajectory import INTERSAMPLE
+
     if fitted:
         yield ""
         yield "process models fitted to the records, with 95 % intervals"
@@ -529,7 +532,9 @@ def _fitted_lines(
             if model is None:
                 yield f"process   {out.name} by {into.name}: none, as {reason}"
                 continue
-            yield f"process   {out.name} by {into.name}: {model}, fit {model.fit:.1f} %"
+            kind = one.between[j]
+            between = "" if kind == "zero" else f", input {INTERSAMPLE[kind]} between samples"
+            yield f"process   {out.name} by {into.name}: {model}, fit {model.fit:.1f} %{between}"
             gain = f"{out.unit or '1'}/{into.unit or '1'}{'/s' if model.integrator else ''}"
             for k, p in enumerate(values):
                 yield f"            {p.name} {one.statement(j, k, gain)}"

@@ -7,8 +7,10 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Literal, get_args
 
+from asia.data.trajectory import Intersample
 from asia.models._equations.additions import NO_NUMBERS, NO_PRIORS, LearnedNumbers, ParameterPriors
 from asia.models._equations.ode import Equations
+from asia.models._numerics.intersample import Between
 from asia.problem.physics import Name, ParameterRange
 
 Initial = Literal["measured", "estimated"]
@@ -47,8 +49,11 @@ class Config:
     robust: float | None = None
     """Huber threshold in standard deviations of the output; None is least squares."""
     substeps: int = 2
-    """Runge-Kutta steps of order 4 from one sample to the next; the inputs are held meanwhile
-    (zero-order hold)."""
+    """Runge-Kutta steps of order 4 from one sample to the next."""
+    intersample: Intersample | None = None
+    """Behaviour between samples of inputs that are no staircase and have none in the problem file:
+    "zero" holds them, "first" is linear, "band_limited" a curve through the last four samples. None
+    leaves the choice to the search; outside of one it holds them."""
     initial: Initial | None = None
     """Initial state of a simulation: "measured" takes the last measured outputs, where every state
     is an output; "estimated" uses the whole past window. None is measured with a horizon, where
@@ -99,6 +104,10 @@ class Config:
             raise ValueError("greybox.Config: substeps must be >= 1")
         if self.sensor not in (None, *get_args(Sensor)):
             raise ValueError('greybox.Config: sensor must be None, "power" or "spline"')
+        if self.intersample not in (None, *get_args(Intersample)):
+            raise ValueError(
+                'greybox.Config: intersample must be None, "zero", "first" or "band_limited"'
+            )
         if self.smooth_width <= 0 or (self.prior_width is not None and self.prior_width <= 0):
             raise ValueError("greybox.Config: smooth_width and prior_width must be > 0")
         for expression, _, deviation, _ in self.priors:
@@ -172,6 +181,8 @@ class GreyBoxStructure:
     """Samples in the buffer of each delay of the equations; () before the records are known."""
     shown: tuple[tuple[int, int], ...] | None = None
     """`measured_states` where the observation has been changed."""
+    intersample: tuple[Intersample, ...] = ()
+    """Behaviour of each input between samples; () holds all, as in older models."""
 
     def __post_init__(self) -> None:
         states, outputs = self.equations.states, self.equations.outputs
@@ -221,10 +232,16 @@ class GreyBoxStructure:
     def n_fit(self) -> int:
         """Number of samples before the first simulated one over which the state is fitted: those
         whose inputs are known, and without past inputs, or when it is measured, the newest output.
+        Where inputs move between samples the first one ends an interval.
         """
         if self.states_measured:
             return 1
-        return max(self.n_past_u, min(self.n_past_y, 1))
+        return max(self.n_past_u, min(self.n_past_y, 1), min(self.between.memory, 1))
+
+    @cached_property
+    def between(self) -> Between:
+        """Inputs between samples."""
+        return Between(self.intersample or ("zero",) * self.nu)
 
     @cached_property
     def measured_states(self) -> dict[int, int]:

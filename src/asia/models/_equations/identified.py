@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
-from asia.data.trajectory import Array
+from asia.data.trajectory import INTERSAMPLE, Array
 from asia.models import uncertainty
 from asia.models._equations.additions import substituted
 from asia.models._equations.config import GreyBoxStructure
@@ -143,6 +143,11 @@ def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects)
             f"{name} acts {number(float(delay))} samples late"
             for name, delay in zip(system.inputs, effect.delay, strict=True)
         ]
+    lines += [
+        f"{name} is {INTERSAMPLE[kind]} between samples"
+        for name, kind in zip(system.inputs, structure.between.kinds, strict=True)
+        if kind != "zero"
+    ]
     return [line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ..." for line in lines]
 
 

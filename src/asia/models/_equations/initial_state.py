@@ -92,46 +92,58 @@ class CaseSteps:
         return sample_by_sample(self.structure, self.scales, self.effect)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """States (B, nx) at the first sample, the inputs (B, held, nu) in the delay, and the buffer
-        (B, L, n) of the delays in the equations."""
+        """States (B, nx), the inputs (B, held, nu) that still act, and the buffer (B, L, n) of the
+        delays in the equations: at the first sample, with inputs that move between samples at the
+        one before."""
         x, inputs = case_start(self.structure, self.scales, self.prior, self.z, past_u, past_y, u)
         inputs = inputs.transpose(0, 2, 1)
-        first = inputs[0] if len(inputs) else u
+        first, memory = inputs[0] if len(inputs) else u, self.structure.between.memory
         confine, _ = self._moves
-        held = int(np.ceil(self.late).max(initial=0))
+        held = int(np.ceil(self.late).max(initial=0)) + memory
         line = namespace(u).repeat(first[:, None], held, axis=1)
         now = confine(x[:, None])
         with np.errstate(all="ignore"):
             buffer = empty_buffer(self.structure, self.effect.parameters, now, first.T[:, None])
         state = now[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)
-        for past in inputs:
+        for past in inputs[1:] if memory else inputs:
             state, _ = self.step(state, past)
         return state
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample: the output is read before the states move."""
-        x, line, buffer = state
-        acting = u
+        """Advance by one sample. With held inputs the output is read before the states move; with
+        others the states move from the sample before to this one first."""
+        (x, line, buffer), memory = state, self.structure.between.memory
+        known = u[:, None]
         if line.shape[1]:
-            known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
-            line, channel, last = known[:, 1:], np.arange(u.shape[1]), known.shape[1] - 1
-            older = last - np.ceil(self.late).astype(int)
-            newer = np.minimum(older + 1, last)
-            # Interpolate between two samples for a fractional delay.
-            later = np.ceil(self.late) - self.late
-            acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
-        held, now = acting.T[:, None], x.T[:, None]
+            known = namespace(line, u).concatenate([line, known], axis=1)
+            line = known[:, 1:]
+        window = namespace(u).stack([self._acting(known, k).T for k in range(memory, -1, -1)])
+        now, window = x.T[:, None], window[:, :, None]
         with np.errstate(all="ignore"):
-            buffer, held = advance_buffer(
+            buffer, acting = advance_buffer(
                 self.structure,
                 self.effect.parameters,
                 buffer.transpose(1, 2, 0)[:, :, None],
                 now,
-                held,
+                window[-1],
             )
-            after = self._moves[1](now, held)
-            y = outputs(self.structure, self.effect, now[None], held[None])
+            # Equations with delays have held inputs.
+            after = self._moves[1](now, window if memory else acting[None])
+            here = after if memory else now
+            y = outputs(self.structure, self.effect, here[None], acting[None])
         return (after[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)), y[0, :, 0].T
+
+    def _acting(self, known: AnyArray, before: int) -> AnyArray:
+        """Inputs (B, nu) that act so many samples before the last of `known` (B, L, nu)."""
+        last = known.shape[1] - 1 - before
+        if not self.structure.config.input_delay:
+            return known[:, last]
+        channel = np.arange(known.shape[2])
+        older = last - np.ceil(self.late).astype(int)
+        newer = np.minimum(older + 1, last)
+        # Interpolate between two samples for a fractional delay.
+        later = np.ceil(self.late) - self.late
+        return (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
 
 
 def case_start(

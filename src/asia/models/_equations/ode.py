@@ -288,9 +288,9 @@ def of_node(node: Node) -> Expression:
 
 def runge_kutta(derivative: Derivative, x: AnyArray, u: AnyArray, step: AnyArray) -> AnyArray:
     """Advance states x (nx, ...) by one classical fourth-order Runge-Kutta step, a number or (...)
-    in s, with inputs u (nu, ...) held."""
-    k1 = derivative(x, u)
-    k2 = derivative(x + 0.5 * step * k1, u)
-    k3 = derivative(x + 0.5 * step * k2, u)
-    k4 = derivative(x + step * k3, u)
+    in s, with the inputs u (3, nu, ...) at its start, middle and end."""
+    k1 = derivative(x, u[0])
+    k2 = derivative(x + 0.5 * step * k1, u[1])
+    k3 = derivative(x + 0.5 * step * k2, u[1])
+    k4 = derivative(x + step * k3, u[2])
     return x + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)

@@ -36,7 +36,13 @@ class CompiledSimulator:
         self._width = int(np.clip(_MOST_VALUES // each, 1, len(u)))
         # Remove settings that the states do not depend on, which would cause another compilation.
         plain = replace(
-            structure.config, ridge=0.0, residual_ridge=0.0, robust=None, initial=None, discover=()
+            structure.config,
+            ridge=0.0,
+            residual_ridge=0.0,
+            robust=None,
+            initial=None,
+            discover=(),
+            intersample=None,
         )
         self._program = _compiled(replace(structure, config=plain))
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from asia.models._arrays import AnyArray, namespace, repeated, rows, scan
+from asia.models._arrays import AnyArray, folded, namespace, repeated, rows, scan
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import Derivative, runge_kutta
 from asia.models._equations.transport import (
@@ -20,7 +20,8 @@ from asia.models._equations.transport import (
 from asia.problem.physics import ParameterRange
 
 Step: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
-"""Function that advances the states by one sample: x (nx, R, S), u (nu, R, S) -> (nx, R, S)."""
+"""Function that advances the states by one sample: x (nx, R, S) and the samples of the inputs that
+decide the interval, (memory + 1, nu, R, S) of `Between.windows` -> (nx, R, S)."""
 Confinement: TypeAlias = Callable[[AnyArray], AnyArray]
 """Function that keeps states (nx, R, S) in their bounds."""
 
@@ -169,13 +170,13 @@ def simulate_states(
     """States (T, nx, R, S) from x0 (nx, R, S), with the inputs of `acting`, and the delayed signals
     (T, m, R, S) that these lack, None where there is none."""
     confine, advance = sample_by_sample(structure, scales, effect)
-    x0, known = confine(x0), held.shape[1]
+    x0, known, windows = confine(x0), held.shape[1], structure.between.windows(held)
     if known == structure.nu + len(structure.equations.delays):
-        return scan(lambda x, v: (advance(x, v), x), x0, held)[1], None
+        return scan(lambda x, v: (advance(x, v), x), x0, windows)[1], None
 
     def step(state: tuple[AnyArray, AnyArray], v: AnyArray) -> Any:
         line, v = advance_buffer(structure, effect.parameters, state[1], state[0], v)
-        return (advance(state[0], v), line), (state[0], v[known:])
+        return (advance(state[0], v[None]), line), (state[0], v[known:])
 
     line = empty_buffer(structure, effect.parameters, x0, held[0])
     return scan(step, (x0, line), held)[1]
@@ -194,22 +195,24 @@ def sample_by_sample(
     structure: GreyBoxStructure, scales: Scales, effect: Effects
 ) -> tuple[Confinement, Step]:
     """Functions that confine states (nx, R, S) to their bounds before the first sample, and that
-    advance them by one sample with inputs (nu, R, S)."""
+    advance them by one sample."""
     xp, confine = namespace(effect.parameters), _confinement(structure, scales, effect)
     derivative, substeps = _derivative(structure, scales, effect), structure.config.substeps
-    irregular = structure.time_step
+    irregular, between = structure.time_step, structure.between
 
-    def advance(x: AnyArray, u: AnyArray) -> AnyArray:
-        whole = structure.sampling_time
+    def advance(x: AnyArray, window: AnyArray) -> AnyArray:
+        u, whole = between.start(window), structure.sampling_time
         if irregular is not None:
             whole = xp.maximum(u[irregular], 0.0)
         step = whole / substeps
 
-        def once(x: AnyArray) -> AnyArray:
-            moved = runge_kutta(derivative, x, u, step)
+        def once(x: AnyArray, stages: AnyArray) -> AnyArray:
+            moved = runge_kutta(derivative, x, stages, step)
             return confine(xp.where(xp.isfinite(moved), moved, x))
 
-        return repeated(once, substeps, x)
+        if between.memory:
+            return folded(once, x, between.stages(window, substeps))
+        return repeated(lambda x: once(x, (u, u, u)), substeps, x)
 
     return confine, advance
 

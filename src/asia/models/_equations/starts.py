@@ -318,7 +318,7 @@ def window_prior(
     # Every past window, and the state `n_fit` samples before its end.
     windows: list[tuple[Array, Array, Array]] = []
     for u, y, states, live in zip(segments.u, segments.y, x, inside, strict=True):
-        ends = np.arange(n_past, live.sum())
+        ends = np.arange(max(n_past, structure.n_fit), live.sum())
         if len(ends):
             shown_u = u[live][rows(ends - structure.n_past_u, structure.n_past_u)]
             shown_y = y[live][rows(ends - structure.n_past_y, structure.n_past_y)]

@@ -112,6 +112,8 @@ def test_what_counts_in_samples_is_refused(tmp_path: Path) -> None:
         ('{ name = "u" }', '{ name = "u", role = "time_step" }', "a role belongs to an input"),
         ('outputs = ["x"]', 'outputs = ["x"]\nloop = { reference = "u2" }', r"\[loop\] needs one"),
         ('outputs = ["x"]', 'outputs = ["x"]\npreprocess = { decimate = 2 }', r"\[preprocess\]"),
+        ('"u" }', '"u", intersample = "band_limited" }', "band_limited.* needs one sampling time"),
+        ('["x"]', '[{ name = "x", intersample = "first" }]', "intersample belongs to an input"),
         ("data = {", 'data = { time = "none", ', "irregular sampling needs a column"),
         (
             'role = "time_step"',

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from asia.candidate import Context
+from asia.candidate import Context, simulate_steps
 from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import greybox, physics_net
@@ -192,3 +192,22 @@ def test_a_prior_remembers_nothing() -> None:
 def test_networks_of_measured_states_refuse_delays() -> None:
     with pytest.raises(UserError, match="the equations delay a signal; use greybox"):
         physics_net.build(physics_net.Config(), CONTEXT)
+
+
+def test_delays_need_held_inputs_and_lags_do_not() -> None:
+    u = np.random.default_rng(0).normal(size=(60, 1))
+    record = Trajectory(u, u, STEP, "r")
+    config, method = greybox.Config(intersample="first"), LevenbergMarquardt(1, starts=1)
+    for term in ("delay(u, k)", "plug_flow(u, 1, k)", "plug_mean(u, 1, k)", "lag(u, k)"):
+        physics = Physics(("y",), {"y": f"{term} - y"}, {"k": ParameterRange(0.5, 2.0)})
+        context = Context((Signal("u"),), (Signal("y"),), STEP, 2, 2, physics=physics)
+        model = greybox.build(config, context)
+        if term == "lag(u, k)":
+            trained = greybox.train(model, [record], context, method)
+            assert trained.structure.intersample == ("first",)
+            past_u, past_y, later = u[None, :2], u[None, :2], u[None, 2:]
+            y = trained.simulate(past_u, past_y, later)
+            assert simulate_steps(trained, past_u, past_y, later) == pytest.approx(y, abs=1e-10)
+        else:
+            with pytest.raises(UserError, match="need inputs that are held"):
+                greybox.train(model, [record], context, method)

@@ -123,7 +123,7 @@ def test_runge_kutta_is_of_fourth_order() -> None:
     def error(step: float) -> float:
         x = np.ones(1)
         for _ in range(round(1 / step)):
-            x = runge_kutta(lambda x, u: u * x, x, -np.ones(1), step)
+            x = runge_kutta(lambda x, u: u * x, x, -np.ones((3, 1)), step)
         return float(abs(x[0] - np.exp(-1)))
 
     assert error(0.1) / error(0.05) == pytest.approx(16.0, rel=0.1)

@@ -53,6 +53,7 @@ CARD = Card(
             space=_space,
             small=(("iterations", 3), ("starts", 1)),
             timing=Timing(start=1.3, unit=1.7e-06),
+            intersample=True,
         ),
     ),
     (

@@ -206,6 +206,7 @@ CARD = Card(
             points=(("windows", -4), ("measured", -2)),
             needs=frozenset({"physics"}),
             irregular=True,
+            intersample=True,
             start=_start,
             space=_space,
             small=(("iterations", 3), ("starts", 1)),

@@ -16,6 +16,7 @@ CARD = Card(
             points=(("windows", -2), ("measured", -2)),
             needs=frozenset({"physics"}),
             irregular=True,
+            intersample=True,
             start=lambda _: Recipe(
                 "hybrid", (("units", 4),), LM, (("iterations", 60), ("starts", 8))
             ),

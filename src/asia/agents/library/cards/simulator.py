@@ -47,6 +47,7 @@ CARD = Card(
             base=10,
             needs=frozenset({"plant"}),
             irregular=True,
+            intersample=True,
             start=lambda _: Recipe("simulator", (), LM, (("iterations", 30), ("starts", 3))),
             space=lambda _: Space(
                 config=(
