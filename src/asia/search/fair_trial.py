@@ -19,7 +19,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from asia.agents.library.family import Family
 from asia.agents.registry import library_candidate
 from asia.agents.view import LINEAR, PARENT
 from asia.candidate import Context, source_digest
@@ -99,21 +98,19 @@ def choice(
 
 def with_inputs_of(source: str, parent: str, context: Context) -> str:
     """Source with the inputs between samples as its parent has them, where it leaves them open."""
-    known, other = library_candidate(source), read_recipe(parent)
+    recipe, other = _open_between(source, context), read_recipe(parent)
     stated = None if other is None else other.get("intersample")
-    if known is None or stated is None or not _is_open_between(*known, context):
+    if recipe is None or stated is None:
         return source
-    return known[0].configured(intersample=stated).source("inputs as in its parent")
+    return recipe.configured(intersample=stated).source("inputs as in its parent")
 
 
 def variants_between(source: str, data: EvaluationData) -> dict[str, str]:
     """Sources with each behaviour of the inputs between samples, by name; none where the candidate
     states one, its family has none or delays signals, or the problem file and the records
     decide."""
-    known, inputs = library_candidate(source), data.context.inputs
-    if known is None or not _is_open_between(*known, data.context):
-        return {}
-    if not undecided_inputs(inputs, data.records):
+    recipe, inputs = _open_between(source, data.context), data.context.inputs
+    if recipe is None or not undecided_inputs(inputs, data.records):
         return {}
     regular = not any(signal.role == "time_step" for signal in inputs)
     titles = {
@@ -122,14 +119,18 @@ def variants_between(source: str, data: EvaluationData) -> dict[str, str]:
         if regular or kind != "band_limited"
     }
     return {
-        title: known[0].configured(intersample=kind).source(title) for title, kind in titles.items()
+        title: recipe.configured(intersample=kind).source(title) for title, kind in titles.items()
     }
 
 
-def _is_open_between(recipe: Recipe, row: Family, context: Context) -> bool:
-    if not row.intersample or recipe.has("intersample"):
-        return False
-    return "physics" not in row.needs or not _needs_held(recipe, context)
+def _open_between(source: str, context: Context) -> Recipe | None:
+    """A candidate that leaves open how its inputs move between samples."""
+    known = library_candidate(source)
+    if known is None:
+        return None
+    recipe, row = known
+    held = "physics" in row.needs and _needs_held(recipe, context)
+    return recipe if row.intersample and not recipe.has("intersample") and not held else None
 
 
 def _needs_held(recipe: Recipe, context: Context) -> bool:

@@ -170,10 +170,12 @@ def _evaluator(system: Equations, requested: _Request, xp: Any, dtype: np.dtype[
     if isinstance(requested, str):
         expressions: tuple[Expression, ...] = getattr(system, requested)
     elif len(requested) == 2 and isinstance(requested[0], int):
-        one = system.delays[requested[0]]
-        expressions = (of_node((one.value, one.flow, one.volume)[requested[1]]),)
+        number, part = cast("tuple[int, int]", requested)
+        one = system.delays[number]
+        expressions = (of_node((one.value, one.flow, one.volume)[part]),)
     else:
-        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in requested)
+        wanted = cast("tuple[str, ...]", requested)
+        expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in wanted)
     source, needed = _Source({}), frozenset[str]().union(*(system.closure(e) for e in expressions))
     for i, (name, _) in enumerate(system.constants):
         source.places[name] = f"c_{i}"
