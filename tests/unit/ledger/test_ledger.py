@@ -186,7 +186,8 @@ def test_a_run_on_a_gpu_of_an_older_version_verifies_and_shows_but_does_not_resu
     for line in read_lines(ledger):
         fields = adapter.dump_python(line.event, mode="json")
         fields |= {"device": "gpu"} if isinstance(line.event, Started) else {}
-        for fold in fields.get("folds", ()) if isinstance(line.event, Evaluated) else ():
+        outcome = fields["outcome"] if isinstance(line.event, Evaluated) else {}
+        for fold in outcome.get("folds", ()):
             fold["device"] = "gpu NVIDIA H100"
         record, _ = _line(place.seq, place.head, line.time, fields)
         place, raw = place.behind(record), raw + record

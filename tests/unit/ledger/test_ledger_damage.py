@@ -214,7 +214,7 @@ def test_a_proposal_without_its_result_is_whole(whole: Path) -> None:
     assert verify(whole).records == 9
 
 
-def long_result(folds: int = 120) -> Evaluated:
+def long_result(folds: int = 160) -> Evaluated:
     fold = FoldRecord(
         0.25, (0.25,), (0.5,), (50.0,), (0.75,), model="a" * 64, y_hat="b" * 64, curve="c" * 64,
         diagnostics=Diagnostics(0.1, 0.0, 0.2, 0.3, 1.0, 1.0, 1.0, 0.0), fit_seconds=2.5,

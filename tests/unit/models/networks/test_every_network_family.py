@@ -29,7 +29,7 @@ from asia.models._networks.structure import Restartable, rollout, trace
 from asia.models.methods import Adam
 
 FAMILIES: list[tuple[ModuleType, dict[str, Any]]] = [
-    (ltc, {"hidden": 3, "width": 4}),
+    (ltc, {"hidden": 3}),
     (recurrent, {"hidden": 3, "encoder": 4}),
     (cascaded_ltc, {"slow": 3, "fast": 3, "width": 4}),
     (autoregressive, {"hidden": 4, "encoder": 4}),
