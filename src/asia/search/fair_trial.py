@@ -85,7 +85,9 @@ def choice(
 ) -> tuple[dict[str, str], tuple[Variant, ...]]:
     """Sources of the variants of a candidate, and their comparison: first those of its inputs
     between samples, then the others. The arguments are those of `variants_of`."""
-    between, inputs = variants_between(source, evaluator.data), tuple[Variant, ...]()
+    is_known = library_candidate(source) is not None
+    between = variants_between(source, evaluator.data) if is_known else {}
+    inputs: tuple[Variant, ...] = ()
     if between and evaluator.data.inner_folds:
         inputs = compared(evaluator, between, rises=1)
         source = next((between[v.name] for v in inputs if v.chosen), source)

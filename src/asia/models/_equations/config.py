@@ -27,8 +27,7 @@ class Config:
     """
 
     physics: tuple[str, ...] = ()
-    """Equations in the language of `[physics]`, in place of the problem's. Of several the fair
-    trial of a search chooses; a fit takes the first."""
+    """`[physics]` as text, in place of the problem's. Of several a search chooses."""
     saturation: tuple[str, ...] = ()
     """States with a learned upper limit, such as the level of a tank that can be full."""
     spill: bool = False
@@ -51,9 +50,8 @@ class Config:
     substeps: int = 2
     """Runge-Kutta steps of order 4 from one sample to the next."""
     intersample: Intersample | None = None
-    """Behaviour between samples of inputs that are no staircase and have none in the problem file:
-    "zero" holds them, "first" is linear, "band_limited" a curve through the last four samples. None
-    leaves the choice to the search; outside of one it holds them."""
+    """Inputs between samples where problem file and records leave them open: "zero" (held), "first"
+    (linear) or "band_limited" (cubic). None is the search's choice, else "zero"."""
     initial: Initial | None = None
     """Initial state of a simulation: "measured" takes the last measured outputs, where every state
     is an output; "estimated" uses the whole past window. None is measured with a horizon, where
