@@ -63,8 +63,7 @@ class Config:
     exponent, "spline" a learned zero and slopes; None is none. It goes from the lowest to the
     highest value of the state that is observed (else of the data)."""
     lag: tuple[str, ...] = ()
-    """States and inputs that act on the equations of the other states through a first-order lag
-    with a learned time constant."""
+    """States and inputs that act on other states through a first-order lag that is learned."""
     smooth: tuple[str, ...] = ()
     """States and inputs that enter the equations times exp(g), g a smooth function of them with a
     Gaussian-process prior."""
