@@ -34,6 +34,12 @@ def offered(target: str) -> str:
     return target
 
 
+# Equations whose initial state is estimated by least squares: single precision is not enough.
+ESTIMATED_STARTS = (
+    "equations with memory", "grey-box, linear inputs", "grey-box, band-limited inputs",
+)  # fmt: skip
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("target", "name"),
@@ -42,7 +48,10 @@ def offered(target: str) -> str:
 def test_files_simulate_as_the_model(target: str, name: str, tmp_path: Path) -> None:
     done = write(TARGETS[offered(target)], ready(MODELS[name]()), tmp_path / target)
     assert done.parity
-    assert all(row.holds and not row.note for row in done.parity)
+    for row in done.parity:
+        single = row.target == "c float" and name in ESTIMATED_STARTS
+        assert (not row.holds and "refuse it" in row.note) if single else row.holds
+        assert single or not row.note
     assert all(path.stat().st_size for path in done.files)
     assert "Output k belongs to input k" in (tmp_path / target / "USE.md").read_text()
 

@@ -198,7 +198,7 @@ def workspace_tools(s: Searched) -> None:
     found = tools.evaluate("candidate.py", tools.folds)
     baseline = s.run.view.experiment(1).score
     assert baseline is not None
-    assert [one.score.value for one in found] == pytest.approx(
+    assert [one.value for one, _ in found] == pytest.approx(
         [f.value for f in baseline.folds], rel=1e-12
     )
     lines = "\n".join(tables(tools.problem, found, whole=True, held_out=True))
