@@ -201,10 +201,10 @@ def workspace_tools(s: Searched) -> None:
     assert [one.value for one, _ in found] == pytest.approx(
         [f.value for f in baseline.folds], rel=1e-12
     )
-    lines = "\n".join(tables(tools.problem, found, whole=True, held_out=True))
+    lines = "\n".join(tables(tools.problem, tools.folds, found, complete=True, held_out=True))
     assert "nan" not in lines
     with unpainted():
-        assert draw(folder, tools.problem, "a candidate", found, held_out=True)
+        assert draw(folder, tools.problem, "a candidate", tools.folds, found, held_out=True)
 
 
 def agents(s: Searched) -> None:
