@@ -25,6 +25,8 @@ INTERSAMPLE: Final[Mapping[Intersample, str]] = MappingProxyType(
     {"zero": "held", "first": "linear", "band_limited": "band-limited"}
 )
 """Words for it, as in "inputs held between samples"."""
+MOST_DELAY = 10
+"""Greatest delay of an input that a fit looks for by itself, in samples."""
 
 
 @dataclass(frozen=True)

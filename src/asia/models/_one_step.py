@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.candidate import Context
-from asia.data.trajectory import Array
+from asia.data.trajectory import MOST_DELAY, Array
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._numerics.lags import (
-    MOST_DELAY,
     History,
     Lags,
     OutputRange,

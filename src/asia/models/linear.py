@@ -18,7 +18,7 @@ import numpy as np
 from asia._progress import tracked
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data.process import ROUNDING
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import MOST_DELAY, Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, check_choice, demand
 from asia.models._least_squares import LevenbergMarquardt
@@ -50,7 +50,6 @@ from asia.models._linear.window_predictor import (
 )
 from asia.models._noise.model import refuse_noise
 from asia.models._numerics.encoder import Encoder
-from asia.models._numerics.lags import MOST_DELAY
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import (
     ScaledData,

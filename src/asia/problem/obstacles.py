@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from math import ceil, log
 
 from asia.data.statistics import acts, delays, feedback_size, integrating, largest_pole, unstable
-from asia.data.trajectory import Trajectory
-
-DELAY_TRIED = 10
-"""The greatest delay that families look for by themselves."""
+from asia.data.trajectory import MOST_DELAY, Trajectory
 
 
 def least_delay(records: Sequence[Trajectory]) -> int:
@@ -56,7 +53,7 @@ def obstacle(records: Sequence[Trajectory], horizon: int | None, past: int, best
             "inputs and outputs are synchronised, that the inputs vary enough, and that the input "
             f"that drives the plant is recorded. {advice}"
         )
-    elif late > DELAY_TRIED:
+    elif late > MOST_DELAY:
         cause = f"the dead time is {late} samples. Models with this delay follow."
     elif integrating(records):
         cause = (

@@ -18,7 +18,8 @@ from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
 from asia.data.level_responses import level_responses
 from asia.data.statistics import feedback_size, largest_pole, noise_of_periods, unstable
-from asia.problem.obstacles import DELAY_TRIED, least_delay, obstacle
+from asia.data.trajectory import MOST_DELAY
+from asia.problem.obstacles import least_delay, obstacle
 from asia.recipe import Arguments, Recipe, read_recipe
 
 # Strategy while no candidate beats the mean of the output: moves to other model classes.
@@ -47,7 +48,7 @@ def _late(at: Situation) -> int:
     """Shown: without the delay a model sees only inputs that do not act yet."""
     late = least_delay(at.facts.records)
     there = at.recipe.number("delay", 0) >= late - 1
-    return SHOWN * (at.recipe.has("delay") and late > DELAY_TRIED and not there)
+    return SHOWN * (at.recipe.has("delay") and late > MOST_DELAY and not there)
 
 
 def _stuck(at: Situation) -> bool:

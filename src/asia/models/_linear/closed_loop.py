@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from asia.candidate import Context
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import MOST_DELAY, Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray
 from asia.models._least_squares import (
@@ -35,7 +35,6 @@ from asia.models._linear.fit import Refinement, fit, stabilised
 from asia.models._linear.response import DrivenRecords, Response
 from asia.models._linear.system import LinearSystem, unpacked
 from asia.models._numerics.encoder import Encoder, affine
-from asia.models._numerics.lags import MOST_DELAY
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledTrajectory, delayed, scaled
 

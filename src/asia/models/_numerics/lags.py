@@ -24,8 +24,6 @@ from asia.models._numerics.training_records import (
 _MOST_WINDOWS = 4000
 # Least share of samples with measured lags at which the others are left out.
 _ENOUGH = 0.1
-MOST_DELAY = 10
-"""Greatest delay that a fit looks for by itself, in samples."""
 
 
 @dataclass(frozen=True)

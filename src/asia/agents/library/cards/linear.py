@@ -17,7 +17,8 @@ from asia.agents.library.space import OneOf, Space
 from asia.agents.library.traits import periodic
 from asia.agents.view import Facts
 from asia.data.statistics import several_levels
-from asia.problem.obstacles import DELAY_TRIED, least_delay
+from asia.data.trajectory import MOST_DELAY
+from asia.problem.obstacles import least_delay
 from asia.recipe import Arguments, Recipe
 
 # Share of the error for which another state is taken.
@@ -37,7 +38,7 @@ def _linear(facts: Facts) -> Recipe:
     known: Arguments = facts.linear or (("order", None), ("delay", None), ("periodic", True))
     recipe = Recipe("linear", known, LM, (("iterations", 30),))
     late = _shared_delay(facts)
-    if late > DELAY_TRIED:
+    if late > MOST_DELAY:
         recipe = recipe.configured(delay=late)
     if not _is_special(recipe):
         recipe = recipe.configured(**dict(integrator_setting(facts)))
