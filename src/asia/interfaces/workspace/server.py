@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, is_dataclass, replace
 from functools import cache
+from inspect import signature
 from pathlib import Path
 from typing import Any, Literal, Self, get_type_hints
 
@@ -639,11 +640,23 @@ _SLOT_SECONDS = 1.0
 
 
 _OPERATIONS = (
-    "submit", "submission", "withdraw", "results", "source", "evidence", "progress", "attended",
-    "simulated", "dry_run",
+    "submission", "withdraw", "results", "source", "evidence", "progress", "attended", "simulated",
+    "dry_run",
 )  # fmt: skip
 _requests = TypeAdapter(dict[str, Any])
-_proposals = TypeAdapter(Proposal)
+
+
+def _proposal(
+    source: str,
+    hypothesis: str,
+    expected: str = "",
+    family: str = "",
+    title: str = "",
+    parent: int | None = None,
+    remark: str = "",
+) -> Proposal:
+    """A proposal of what a request may say; the rest is for the search to say."""
+    return Proposal(source, family, title, hypothesis, expected, parent, remark=remark)
 
 
 class DeskServer:
@@ -709,13 +722,13 @@ def _answer(desk: RunDesk, raw: bytes) -> bytes:
             raise UserError(f"a request is one line of at most {MOST_BYTES} bytes")
         request = _requests.validate_json(raw)
         op = request.pop("op", None)
-        if op not in _OPERATIONS:
+        if op != "submit" and op not in _OPERATIONS:
             raise UserError("unknown request: expected op to be one of the submission server")
+        # The signature says what is valid.
+        method = _proposal if op == "submit" else getattr(desk, op)
+        found: Any = validate_call(config=ConfigDict(strict=True))(method)(**request)
         if op == "submit":
-            found: Any = desk.submit(_proposals.validate_python(request, strict=False))
-        else:
-            # The signature of the method says what is valid.
-            found = validate_call(config=ConfigDict(strict=True))(getattr(desk, op))(**request)
+            found = desk.submit(found)
         answer = {"ok": to_json(found)}
         return json.dumps(answer, allow_nan=False).encode()
     except UserError as error:
@@ -736,7 +749,8 @@ class SocketDesk:
 
     def submit(self, proposal: Proposal) -> Submission:
         """See `RunDesk.submit`."""
-        return self._ask("submit", **asdict(proposal))
+        sent = asdict(proposal)
+        return self._ask("submit", **{name: sent[name] for name in signature(_proposal).parameters})
 
     def submission(self, ticket: str) -> Submission:
         """See `RunDesk.submission`."""

@@ -55,3 +55,32 @@ def test_every_failure_is_answered(tmp_path: Path) -> None:
             channel.connect(str(path))
             channel.sendall(b"[" * 100_000 + b"\n")
             assert "error" in json.loads(channel.makefile("rb").readline())
+
+
+SUBMIT = {"op": "submit", "source": "x = 1", "family": "", "title": "", "hypothesis": "h"}
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        {**SUBMIT, "expected": "", "fair": True},
+        {**SUBMIT, "expected": "", "ticket": "t1"},
+        {**SUBMIT, "expected": "", "unheard_of": 1},
+        {**SUBMIT, "expected": "", "parent": "3"},
+        {"op": "submit", "source": "x = 1"},
+        {"op": "source", "experiment": "1"},
+        {"op": "progress", "experiment": 1},
+        {"op": "run"},
+        {"op": ["submit"]},
+        {},
+    ],
+)
+def test_a_request_says_what_its_signature_allows_and_no_more(
+    tmp_path: Path, sent: dict[str, object]
+) -> None:
+    with DeskServer(tmp_path / "s", RunDesk(tmp_path)), socket.socket(socket.AF_UNIX) as channel:
+        channel.settimeout(20.0)
+        channel.connect(str(tmp_path / "s"))
+        channel.sendall(json.dumps(sent).encode() + b"\n")
+        answer = json.loads(channel.makefile("rb").readline())
+    assert answer["error"].startswith("unknown request")
