@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -380,6 +381,7 @@ def _liken(path: Path, plant: Plant | None, *, asks: bool) -> None:
 
 def _write_equations(path: Path, plant: Plant) -> None:
     """Write `[physics]` of a plant into a problem file."""
+    from asia.ledger.chain import write_whole
     from asia.plants.recognition import assignments
     from asia.problem.load import load_problem
     from asia.problem.physics_text import written_physics
@@ -398,14 +400,19 @@ def _write_equations(path: Path, plant: Plant) -> None:
             "inputs, outputs and their units"
         )
     physics = plant.physics(found[0], problem.inputs, problem.outputs, problem.train)
-    text, _, _ = path.read_text(encoding="utf-8").partition("# [physics]")
+    before = path.read_text(encoding="utf-8")
+    # The example of `asia init` goes, what the user wrote behind it stays.
+    text = re.sub(r"^# \[physics\](.*\n?)(#.*\n?)*", "", before, flags=re.MULTILINE)
     comments = [f"{plant.title}. {plant.entry.unknown}", f"Source: {plant.entry.source}."]
     lines = [f"# {line}" for comment in comments for line in wrap(comment, 98)]
     equations = written_physics(physics, "physics.")
-    path.write_text(
-        "\n".join([text.rstrip(), "", *lines, "[physics]", equations]), encoding="utf-8"
-    )
-    load_problem(path)
+    written = "\n".join([text.rstrip(), "", *lines, "[physics]", equations])
+    write_whole(path, written.encode())
+    try:
+        load_problem(path)
+    except UserError:
+        write_whole(path, before.encode())
+        raise
     signals = ", ".join(f"{role} is {name}" for role, name in found[0].items())
     say(f"wrote    the equations of a {plant.title} into {path}: {signals}")
     for other in found[1:]:

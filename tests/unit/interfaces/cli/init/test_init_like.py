@@ -18,6 +18,23 @@ def test_a_problem_gets_the_equations_of_a_plant(problem: Path, asia: Asia) -> N
     assert "remove [physics]" in again.err
 
 
+def test_what_the_user_wrote_stays(problem: Path, asia: Asia) -> None:
+    path = problem / "problem.toml"
+    text = path.read_text()
+    example = '# [physics]   # equations you trust\n# states = ["x"]\n'
+    first, tables = text.split("\n[", 1)
+    path.write_text(f"{first}\n{example}\n# my remark\n[{tables}")
+    before = load_problem(problem)
+    assert asia("init", problem, "--like", "tank").code == 0
+    written = path.read_text()
+    assert example not in written
+    assert f"# my remark\n[{tables}".strip() in written
+    after = load_problem(problem)
+    assert (after.inputs, after.protocol, after.budget) == (
+        before.inputs, before.protocol, before.budget
+    )  # fmt: skip
+
+
 def test_a_plant_that_does_not_fit_is_refused(problem: Path, asia: Asia) -> None:
     done = asia("init", problem, "--like", "quadruple_tank")
     assert done.code == 2
