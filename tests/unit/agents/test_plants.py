@@ -2,14 +2,17 @@
 
 from dataclasses import replace
 
+import pytest
+
+from asia.agents.expert.agent import situations
 from asia.agents.library.plants import equations_of, likely_plants, usual_effects
-from asia.agents.view import LINEAR, Facts
+from asia.agents.view import LINEAR, Facts, Trial
 from asia.data import Signal
 from asia.problem.physics_text import read_physics
 from asia.recipe import read_recipe, with_chosen_equations
 from asia.search.fair_trial import variants_of
 
-from .searches import following, recipe_of, simulation, trial
+from .searches import following, recipe_of, simulation, trial, view
 
 TANK = "A pump fills a column with water, which drains by gravity through a hole at the bottom."
 
@@ -91,3 +94,16 @@ def test_assignments_that_names_leave_open_are_variants_of_one_trial() -> None:
     assert second is not None
     assert second.get("physics") == (texts[1],)
     assert second == with_chosen_equations(recipe_of(proposal), "equations 2")
+
+
+@pytest.mark.parametrize(("value", "variant"), [(0.5, ""), (None, ""), (0.1, LINEAR)])
+def test_a_lost_plant_is_not_carried_on(value: float | None, variant: str) -> None:
+    known = tank()
+    first = replace(trial(following(known, (), "explore"), 1, value), variant=variant)
+    second = replace(first, value=0.1, variant="")
+
+    def carried(one: Trial) -> int:
+        at = situations(replace(view(known, (one,), "refine"), linear=0.3))
+        return sum(bool(s.recipe.get("physics")) for s in at)
+
+    assert (carried(first), carried(second)) == (0, 1)

@@ -1,9 +1,9 @@
 """The default agent: fair trials of model families, then forward selection of effects.
 
 1. Families of what the user gave, equations or a simulator, come first, or else equations of at
-   most two plants that the problem looks like, then the ladder of families
-   in the order of their aptness, for the first part of the budget. An effect that explains more
-   than a third of the residual of a nonlinear model, or that the records show, interrupts it.
+   most two plants that the problem looks like, then the ladder of families in the order of their
+   aptness, for the first part of the budget. An effect that explains more than a third of the
+   residual of a nonlinear model, or that the records show, interrupts it.
 2. Effects are added to the best candidate, by the share of the residual that they explain. One that
    did not help comes after all that were not tried.
 3. The best candidate of another family is carried on as well while its error over the folds is
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
-from math import inf, sqrt
+from math import sqrt
 from statistics import fmean, stdev
 
 from asia.agents.control import propose_controller
@@ -212,15 +212,19 @@ def _of_plant(view: AgentView, row: Family, recipe: Recipe, one: Likeness) -> Pr
 
 
 def lost_plants(view: AgentView) -> Iterator[str]:
-    """Sentence on each plant whose equations came out no better than the linear model, at the
-    last experiment."""
+    """Sentence on the last experiment, where its plant of the catalogue is given up."""
     for trial in view.trials[-1:]:
         recipe = read_recipe(trial.source)
-        if recipe is None or not recipe.get("physics") or trial.parent is not None:
-            continue
-        worse = view.linear is not None and (trial.value or inf) >= view.linear
-        if trial.variant == LINEAR or trial.value is None or worse:
+        if recipe is not None and trial.parent is None and _is_lost(view, trial, recipe):
             yield f"#{trial.number:02d}, {trial.title}: no better than the linear model"
+
+
+def _is_lost(view: AgentView, trial: Trial, recipe: Recipe) -> bool:
+    """Whether a candidate with equations of the catalogue is no better than the linear model."""
+    if not recipe.get("physics"):
+        return False
+    below = trial.value is not None and (view.linear is None or trial.value < view.linear)
+    return trial.variant == LINEAR or not below
 
 
 def _first(view: AgentView, row: Family, recipe: Recipe) -> Proposal | None:
@@ -308,8 +312,9 @@ def situations(view: AgentView) -> Iterator[Situation]:
         # Where what it began with was as good, nothing else was scored.
         recipe = None if trial.variant in (LINEAR, PARENT) else read_recipe(trial.source)
         recipe = recipe and with_chosen_equations(recipe, trial.variant)
-        if recipe is not None and recipe.family not in chosen:
-            chosen[recipe.family] = trial, recipe
+        if recipe is None or recipe.family in chosen or _is_lost(view, trial, recipe):
+            continue
+        chosen[recipe.family] = trial, recipe
     for place, (trial, recipe) in enumerate(chosen.values()):
         row = family(recipe.family)
         if row is not None:
