@@ -97,7 +97,7 @@ class LevelResponse:
     steps: Array
 
 
-def set_delay(records: Sequence[Trajectory]) -> int | None:
+def pacing_input(records: Sequence[Trajectory]) -> int | None:
     """Number of the input that sets a delay: positive, and the delay of a response falls as it
     grows, as in a pipe or on a belt; None without one."""
     for one in level_responses(records):
@@ -250,7 +250,7 @@ class _Motions:
     inputs: list[Array]
     """(T, nu), less their means, in their deviations."""
     mean: float
-    """Of the output."""
+    """Mean of the output."""
     rate: bool
     """Whether inputs, not their changes, change the output."""
 

@@ -101,7 +101,7 @@ class Entry:
     outputs: Annotated[Mapping[str, Role], MinLen(1)]
     physics: PlantEquations
     unknown: str
-    """What records cannot determine, and the prior that helps."""
+    """Parameters that no record determines, and the prior that helps."""
     source: str
     """Textbook and chapter."""
     effects: tuple[Effect, ...] = ()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from math import exp, log
 
-from asia.data.level_responses import set_delay
+from asia.data.level_responses import pacing_input
 from asia.data.statistics import integrating, limit_shares, resonant
 from asia.data.trajectory import Signal, Trajectory
 from asia.plants.catalogue import Plant, Role, Sign, catalogue, quantities
@@ -189,11 +189,11 @@ def _sign_rarity(sign: Sign) -> float:
 
 
 def _shown(records: tuple[Trajectory, ...], outputs: Sequence[Signal]) -> dict[Sign, str]:
-    """What the records show, in words; "" for what they do not show."""
+    """Finding in the records for each sign, in words; "" where a sign is missing."""
     if not records:
         return {}
     drifting = ", ".join(outputs[k].name for k in integrating(records))
-    pipe = set_delay(records)
+    pipe = pacing_input(records)
     limits = limit_shares(records)
     resting = [o.name for o, one in zip(outputs, limits, strict=True) if max(one) > _LEAST_REST]
     return {

@@ -85,9 +85,7 @@ def choice(
 ) -> tuple[dict[str, str], tuple[Variant, ...]]:
     """Sources of the variants of a candidate, and their comparison: first those of its inputs
     between samples, then the others. The arguments are those of `variants_of`."""
-    is_known = library_candidate(source) is not None
-    between = variants_between(source, evaluator.data) if is_known else {}
-    inputs: tuple[Variant, ...] = ()
+    between, inputs = variants_between(source, evaluator.data), tuple[Variant, ...]()
     if between and evaluator.data.inner_folds:
         inputs = compared(evaluator, between, rises=1)
         source = next((between[v.name] for v in inputs if v.chosen), source)
@@ -111,10 +109,10 @@ def variants_between(source: str, data: EvaluationData) -> dict[str, str]:
     """Sources with each behaviour of the inputs between samples, by name; none where the candidate
     states one, its family has none or delays signals, or the problem file and the records
     decide."""
-    recipe, inputs = _open_between(source, data.context), data.context.inputs
-    if recipe is None or not undecided_inputs(inputs, data.records):
+    recipe = _open_between(source, data.context)
+    if recipe is None or not undecided_inputs(data.context.inputs, data.records):
         return {}
-    regular = not any(signal.role == "time_step" for signal in inputs)
+    regular = not any(signal.role == "time_step" for signal in data.context.inputs)
     titles = {
         f"inputs {text} between samples": kind
         for kind, text in INTERSAMPLE.items()

@@ -14,7 +14,7 @@ from asia.errors import UserError
 from asia.lowering.derivatives import derivatives
 from asia.lowering.evaluation import simulate
 from asia.models import compartments, greybox, hybrid, simulator
-from asia.models._numerics.intersample import MEMORY, Between, between, inputs_of, interpolation
+from asia.models._numerics.intersample import Between, between, inputs_of, interpolation
 from asia.models.methods import LevenbergMarquardt
 from asia.problem.physics import ParameterRange, Physics
 from asia.problem.plant import Plant, Unknown
@@ -55,11 +55,11 @@ def error(model: greybox.GreyBox, new: Trajectory) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("memory", [1, 3])
 def test_an_interpolation_reproduces_the_powers_of_time(kind: Intersample, memory: int) -> None:
-    if MEMORY[kind] > memory:
+    if Between((kind,)).memory > memory:
         return
     times, samples = np.linspace(0.0, 1.0, 9), np.arange(-memory, 1) + 1.0
     weights = interpolation(kind, times, memory)
-    for power in range(MEMORY[kind] + 1):
+    for power in range(Between((kind,)).memory + 1):
         assert weights @ samples**power == pytest.approx(times**power, abs=1e-12)
     if kind != "zero":
         assert np.array_equal(weights[-1], np.eye(memory + 1)[-1])

@@ -14,8 +14,7 @@ from asia.problem.symmetry import of_signals
 
 Trait = Literal[
     "physics", "parameters", "windows", "measured", "short", "long", "single", "several",
-    "symmetric",
- "integrating", "resonant", "plant", "scheduling", "irregular", "feedback",
+    "symmetric", "integrating", "resonant", "plant", "scheduling", "irregular", "feedback",
 ]  # fmt: skip
 
 
@@ -26,10 +25,9 @@ def traits(facts: Facts) -> frozenset[Trait]:
     samples to fit; single: one input and one output; several: more than one output; symmetric: a
     symmetry of inputs and outputs alone is declared; integrating: an output drifts with the sum of
     the inputs, and whole records are simulated; resonant: an output has a lightly damped mode, and
-    whole records are simulated;
-    plant: a simulator of the user's own is given; scheduling: an input is a scheduling signal;
-    irregular: an input holds the time step; feedback: [loop] names a closed loop, whose noise is
-    still in the inputs."""
+    whole records are simulated; plant: a simulator of the user's own is given; scheduling: an input
+    is a scheduling signal; irregular: an input holds the time step; feedback: [loop] names a closed
+    loop, whose noise is still in the inputs."""
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:

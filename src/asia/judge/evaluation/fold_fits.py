@@ -213,9 +213,9 @@ def fit_fold(
             if first < _SLOW_SECONDS:
                 simulate_training(worker.simulate_known, inside, data.rule.horizon)
                 simulating = worker.spent[Activity.SIMULATE][1] - first
-            blocks, (first, *others) = data.held_out, data.sessions
+            blocks, (own, *others) = data.held_out, data.sessions
             together = side_by_side(source, data.rule)
-            found = simulate_each(worker, blocks, first, data.secret, together=together)
+            found = simulate_each(worker, blocks, own, data.secret, together=together)
         for session in others:
             with open_worker(source, fitting=False) as fresh:
                 fresh.load(source, model, context)

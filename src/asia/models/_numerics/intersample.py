@@ -19,9 +19,9 @@ from asia.data.trajectory import Array, Intersample, Signal, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray
 
-MEMORY: Final[dict[Intersample, int]] = {"zero": 0, "first": 1, "band_limited": 3}
-"""Samples before the end of an interval that decide the input in it; a held input is known at the
-start."""
+# Samples before the end of an interval that decide the input in it; a held input is known at the
+# start.
+_MEMORY: Final[dict[Intersample, int]] = {"zero": 0, "first": 1, "band_limited": 3}
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Between:
     def memory(self) -> int:
         """Number of samples before the end of an interval that are read; 0 where all inputs are
         held, so that an interval is known at its start."""
-        return max((MEMORY[kind] for kind in self.kinds), default=0)
+        return max((_MEMORY[kind] for kind in self.kinds), default=0)
 
     def windows(self, u: AnyArray) -> AnyArray:
         """Samples (T, memory + 1, nu, ...) of inputs u (T, nu, ...) that decide the interval after
@@ -63,7 +63,7 @@ def interpolation(kind: Intersample, times: Array, memory: int) -> Array:
     """Weights (..., memory + 1) of the samples up to the end of an interval, the oldest first, in
     the input at relative times (...) of the interval, from 0 to 1."""
     found = np.zeros((*times.shape, memory + 1))
-    nodes = np.arange(-MEMORY[kind], 1) + 1.0
+    nodes = np.arange(-_MEMORY[kind], 1) + 1.0
     if kind == "zero":
         found[..., max(memory - 1, 0)] = 1.0
         return found
@@ -83,7 +83,7 @@ def inputs_of(
 
     recipe = read_recipe(source)
     stated = None if recipe is None else recipe.get("intersample")
-    return between(inputs, records, next((k for k in MEMORY if k == stated), None)).kinds
+    return between(inputs, records, next((k for k in _MEMORY if k == stated), None)).kinds
 
 
 def between(

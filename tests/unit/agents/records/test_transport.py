@@ -10,7 +10,7 @@ import pytest
 from asia.agents import Facts, Trial
 from asia.agents.expert.agent import ExpertAgent
 from asia.data import Signal, Trajectory
-from asia.data.level_responses import set_delay
+from asia.data.level_responses import pacing_input
 from tests.unit.agents.searches import recipe_of, simulation, trial, view
 from tests.unit.models.systems.transport import belt
 
@@ -31,12 +31,12 @@ def mixed(samples: int, seed: int) -> Trajectory:
 
 
 def test_a_belt_is_seen_in_the_record() -> None:
-    assert set_delay(facts_of(belt(500, 0)).records) == 0
+    assert pacing_input(facts_of(belt(500, 0)).records) == 0
 
 
 @pytest.mark.slow
 def test_a_constant_delay_is_not_taken_for_a_belt() -> None:
-    assert set_delay(facts_of(mixed(500, 0)).records) is None
+    assert pacing_input(facts_of(mixed(500, 0)).records) is None
 
 
 @pytest.mark.slow

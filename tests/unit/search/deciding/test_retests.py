@@ -12,7 +12,7 @@ import pytest
 
 import asia
 from asia.errors import Reason
-from asia.judge.evaluation.evaluator import Evaluation, Evaluator
+from asia.judge.evaluation.evaluator import Evaluation, EvaluationData, Evaluator
 from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.outcome import Failure, FoldRecord, Score
@@ -42,6 +42,7 @@ class Fits(Evaluator):
     def __init__(self, *outcomes: float | Failure) -> None:
         self.outcomes, self.starts = outcomes, list[int]()
         self.workers = cast(WorkerRunner, SimpleNamespace(is_sequential=True))
+        self.data = cast(EvaluationData, SimpleNamespace(context=None, records=(), inner_folds=()))
 
     def evaluate(self, source: str, start: int = 0) -> Evaluation:
         """The next one."""

@@ -15,7 +15,7 @@ from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts
-from asia.data.level_responses import set_delay
+from asia.data.level_responses import pacing_input
 from asia.data.statistics import Cause, switching
 from asia.recipe import Arguments, Recipe, Value
 
@@ -44,7 +44,7 @@ def _scheduled(facts: Facts) -> bool:
 
 
 def _space(facts: Facts) -> Space:
-    pace = set_delay(facts.records)
+    pace = pacing_input(facts.records)
     places: tuple[Parameter, ...] = (
         OneOf("nonlinearity", ("state", "modal", "input", "output", "both", "none")),
         OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
@@ -80,7 +80,7 @@ def _space(facts: Facts) -> Space:
 
 def _carried(at: Situation) -> Recipe:
     # It excludes a constant delay and the symmetries of plain inputs.
-    pace = set_delay(at.facts.records)
+    pace = pacing_input(at.facts.records)
     return at.recipe.without("symmetry").configured(delay=0, transport=pace).trained(starts=4)
 
 
@@ -253,7 +253,8 @@ CARD = Card(
         Move(
             name="delays set by an input",
             evidence=lambda c: (
-                SHOWN * (not c.recipe.has("transport") and set_delay(c.facts.records) is not None)
+                SHOWN
+                * (not c.recipe.has("transport") and pacing_input(c.facts.records) is not None)
             ),
             change=_carried,
             hypothesis="The delay grows as one of the inputs decreases: a flow or a speed that "
