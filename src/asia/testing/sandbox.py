@@ -154,16 +154,16 @@ class _Case:
 def _check_answers(open_worker: OpenWorker, case: _Case) -> None:
     source, record = case.source(fit="print('fitted')"), case.records[0]
     with open_worker(_LIMITS) as worker:
-        reply = worker.fit(source, case.records, case.context)
+        curve, printed, seconds = worker.fit(source, case.records, case.context)
         model, y = worker.dump(), case.simulated(worker)
         part = worker.simulate(case.past_u[:1], case.past_y[:1], case.u[:1, :7])
     gain = np.linalg.lstsq(record.u, record.y, rcond=None)[0]
     expected = case.u @ gain + case.past_y[:, -1:]
     assert np.allclose(y, expected, rtol=1e-9), "simulate did not give what the candidate computes"
     assert np.allclose(part, expected[:1, :7], rtol=1e-9), "a smaller request was answered wrongly"
-    assert reply[1] == "fitted\n", f"the output of fit came back as {reply[1]!r}"
-    assert reply[0][:, 0].tolist() == list(range(10)), "the training curve did not come back"
-    assert reply[2] > 0, "the fit took no time"
+    assert printed == "fitted\n", f"the output of fit came back as {printed!r}"
+    assert curve[:, 0].tolist() == list(range(10)), "the training curve did not come back"
+    assert seconds > 0, "the fit took no time"
     with open_worker(_LIMITS) as fresh:
         fresh.load(source, model, case.context)
         again = case.simulated(fresh)
@@ -209,9 +209,8 @@ def _check_environment(open_worker: OpenWorker, case: _Case) -> None:
     os.environ["ASIA_TESTING_SECRET"] = secret
     try:
         with open_worker(_LIMITS) as worker:
-            output = worker.fit(
-                case.source(fit="print(dict(os.environ))"), case.records, case.context
-            )[1]
+            source = case.source(fit="print(dict(os.environ))")
+            _, output, _ = worker.fit(source, case.records, case.context)
     finally:
         del os.environ["ASIA_TESTING_SECRET"]
     assert secret not in output, "the candidate sees the environment of the parent"
@@ -261,7 +260,8 @@ def _check_no_messages(open_worker: OpenWorker, case: _Case) -> None:
     with open_worker(_LIMITS) as speaker, open_worker(_LIMITS) as listener:
         speaker.fit(case.source(fit=_SPEAK.replace("KEY", key)), case.records, case.context)
         source = case.source(fit=_LISTEN.replace("KEY", key))
-        heard = listener.fit(source, case.records, case.context)[1].split()
+        _, printed, _ = listener.fit(source, case.records, case.context)
+    heard = printed.split()
     assert not heard, f"two workers at a time hear of each other by {', '.join(heard)}"
 
 

@@ -70,14 +70,17 @@ def fold_rmse(event: Event, store: Store) -> Event:
 
 def no_simulations(event: Event, store: Store) -> Event:
     if isinstance(event, Evaluated) and event.experiment == 2:
-        return replace(event, folds=())
+        assert isinstance(event.outcome, Score)
+        return replace(event, outcome=replace(event.outcome, folds=()))
     return event
 
 
 def short_simulation(event: Event, store: Store) -> Event:
     if isinstance(event, Evaluated) and event.experiment == 2:
-        first, second = event.folds
-        return replace(event, folds=(replace(first, y_hat=store.put(b"")), second))
+        assert isinstance(event.outcome, Score)
+        first, second = event.outcome.folds
+        empty = replace(first, y_hat=store.put(b""))
+        return replace(event, outcome=replace(event.outcome, folds=(empty, second)))
     return event
 
 

@@ -227,7 +227,8 @@ def _own_equations(problem: Problem) -> str:
         '`observation={OUTPUT: "..."}`. Known numbers '
         "belong into `constants={NAME: VALUE}`, subexpressions into `definitions`. Balances can be "
         "written around a working point, in deviations from it: parameters are then of similar "
-        f"size. `substeps`: {substeps} Options such as "
+        f"size. `substeps`: {substeps} Inputs are held between samples (zero-order hold), unless "
+        "`intersample` says otherwise. Options such as "
         "`friction=(VELOCITY,)`, `play`, `saturation`, `lag`, `discover`: `asia models greybox`. "
         "In a candidate that computes nothing itself, as here, equations count as code and not as "
         "data."

@@ -51,7 +51,7 @@ class Config:
     """Runge-Kutta steps of order 4 from one sample to the next."""
     intersample: Intersample | None = None
     """Inputs between samples where problem file and records leave them open: "zero" (held), "first"
-    (linear) or "band_limited" (cubic). None is the search's choice, else "zero"."""
+    (linear) or "band_limited" (cubic). None lets a search choose, and else holds them."""
     initial: Initial | None = None
     """Initial state of a simulation: "measured" takes the last measured outputs, where every state
     is an output; "estimated" uses the whole past window. None is measured with a horizon, where

@@ -111,7 +111,7 @@ def test_without_equations_greybox_is_first_and_its_integration_is_explained(
     page = " ".join(models_page(problem).split())
     first = page.split("|---|---|---|---|")[1]
     assert first.startswith(" | `greybox` | equations of your own")
-    for fact in ("Runge-Kutta steps of order 4", "`constants={NAME: VALUE}`"):
+    for fact in ("Runge-Kutta steps of order 4", "zero-order hold", "`constants={NAME: VALUE}`"):
         assert fact in page
     assert "`greybox` | equations of your own" not in models_page(load_problem("two_tanks_sim"))
 
