@@ -107,7 +107,7 @@ def test_every_step_fails_and_the_search_ends_well(
     assert failed == [line("picture residuals")]
     assert all(path.stat().st_size for path in paths)
     page = write_page(run.directory).read_text()
-    assert "failed diagnostics" in page
+    assert "failed diagnostic" in page
     assert "refit: check stack failed: ValueError" in page
 
 

@@ -77,7 +77,7 @@ def test_a_search_that_is_not_finished_keeps_no_validation_report(
 def test_a_new_record_that_the_model_gets_wrong(finished: Path, tmp_path: Path, asia: Asia) -> None:
     good = asia("validate", finished, "--record", new_record(tmp_path / "good.csv", 1.0))
     (summary,) = (line for line in good.out.splitlines() if line.startswith("pass "))
-    assert summary.endswith("fail 0")
+    assert summary.endswith("fail 0 on good.csv")
     assert "PASS  output bands: 90 % output bands contained: y " in good.out
     done = asia("validate", finished, "--record", new_record(tmp_path / "bad.csv", -1.0), "--json")
     *checks, end = (json.loads(line) for line in done.out.splitlines())

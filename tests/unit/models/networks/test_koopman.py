@@ -20,7 +20,7 @@ def test_training_learns_the_system() -> None:
     data = case(wiener)
     config = koopman.Config(levels=2, states=6, lift=4, width=16)
     model = koopman.build(config, data.context)
-    method = Adam(steps=300, learning_rate=1e-2, truncation=64)
+    method = Adam(steps=500, learning_rate=1e-2, truncation=64)
     assert data.ratio(koopman.train(model, data.training, data.context, method)) < 4.5
 
 

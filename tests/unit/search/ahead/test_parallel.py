@@ -12,6 +12,7 @@ from asia.agents import AgentView, Proposal
 from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluation, Evaluator
 from asia.judge.executors import LocalExecutor
+from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Event, Landed, Proposed
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
@@ -71,10 +72,13 @@ def course(directory: Path) -> list[object]:
     for line in open_run(directory).lines:
         event = line.event
         if not isinstance(event, Landed) and event.event not in ("started", "refitted"):
-            measured = {k: 0.0 for k in ("seconds", "elapsed") if hasattr(event, k)}
-            folds = getattr(event, "folds", None)
-            if measured and folds:
-                measured["folds"] = tuple(replace(f, fit_seconds=0.0, findings=None) for f in folds)
+            measured: dict[str, object] = {
+                k: 0.0 for k in ("seconds", "elapsed") if hasattr(event, k)
+            }
+            outcome = getattr(event, "outcome", None)
+            if isinstance(outcome, Score):
+                timeless = (replace(f, fit_seconds=0.0, findings=None) for f in outcome.folds)
+                measured["outcome"] = replace(outcome, folds=tuple(timeless))
             found.append(replace(event, **measured))
     return found
 
