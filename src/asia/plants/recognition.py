@@ -3,8 +3,8 @@
 A word tells the more, the fewer plants of the catalogue have it, by its inverse document frequency
 (Spärck Jones, Journal of Documentation 28, 1972). The words of a description that the catalogue
 has are compared with those of each plant by naive Bayes: half of them are the plant's own where it
-is this plant, and each is by chance otherwise. What the records show counts in the same way. A
-plant needs a signal for each of its roles, and a role for each output.
+is this plant, and each is by chance otherwise. What the records show or do not show counts in the
+same way. A plant needs a signal for each of its roles, and a role for each output.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _LEAST_LETTERS = 2
 _LEAST_STEM = 4
 _LEAST_REST = 0.02
 _KNOWN = 0.5
-"""Share of the words of a description, among those of the catalogue, that the plant's entry has."""
+"""Share of the words of a description, among those of the catalogue, that the plant's entry has;
+and of the records of a plant that show a finding of its entry."""
 # Numbers and directions, which any description has.
 _PLAIN = frozenset(
     {"two", "three", "four", "first", "second", "third", "fourth", "input", "inputs", "output"}
@@ -103,14 +104,15 @@ def recognise(
         mappings = assignments(plant, inputs, outputs)
         if not mappings:
             continue
-        score = sum(_evidence(one, has=one in own) for one in spoken.keys() & _rarity().keys())
+        known = spoken.keys() & _rarity().keys()
+        score = sum(_evidence(exp(-_rarity()[one]), has=one in own) for one in known)
         if shown is None:
             shown = _shown(tuple(records), outputs)
         signs: list[str] = []
         for sign in plant.entry.signs:
             if sign not in shown:
                 continue
-            score += _sign_rarity(sign) * (1 if shown[sign] else -1)
+            score += _evidence(_sign_share(sign), has=bool(shown[sign]))
             if shown[sign]:
                 signs.append(shown[sign])
         words = tuple(spoken[stem] for stem in told if _rarity()[stem] > 0)
@@ -173,9 +175,9 @@ def _rarity() -> Mapping[str, float]:
     return {one: log(len(_stems()) / count) for one, count in counts.items()}
 
 
-def _evidence(one: str, *, has: bool) -> float:
-    """Logarithm of how much likelier a word is in the description of a plant than in any other."""
-    share = exp(-_rarity()[one])
+def _evidence(share: float, *, has: bool) -> float:
+    """Logarithm of how much likelier a word or finding is with a plant than without, from the share
+    of the plants that have it."""
     return log(_KNOWN / share) if has else log((1 - _KNOWN) / (1 - share))
 
 
@@ -183,9 +185,9 @@ def _evidence(one: str, *, has: bool) -> float:
 
 
 @cache
-def _sign_rarity(sign: Sign) -> float:
+def _sign_share(sign: Sign) -> float:
     plants = catalogue().values()
-    return log(len(plants) / sum(sign in plant.entry.signs for plant in plants))
+    return sum(sign in plant.entry.signs for plant in plants) / len(plants)
 
 
 def _shown(records: tuple[Trajectory, ...], outputs: Sequence[Signal]) -> dict[Sign, str]:
