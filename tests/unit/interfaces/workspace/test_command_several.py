@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents.registry import COMPANION, make_agent
+from asia.agents.registry import AGENTS, COMPANION, make_agent
 from asia.errors import UserError
 from asia.interfaces.cli.options import CommandOptions, ModelOptions
 from asia.interfaces.cli.run import command_driver
@@ -31,7 +31,7 @@ from asia.presentation.experiments import experiment_facts
 from asia.problem.load import load_problem
 from asia.search.replay import Replayed, replay_run
 from asia.search.run import prepare
-from tests.unit.search.toy import write_problem
+from tests.unit.search.toy import Scripted, arx, write_problem
 
 from .commands import HERE, JAILED, RULES, TOY, fake, says
 
@@ -120,7 +120,11 @@ def test_the_search_ends_when_all_have_ended(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_expert_has_its_share_and_the_rest_when_the_others_have_ended(tmp_path: Path) -> None:
+def test_expert_has_its_share_and_the_rest_when_the_others_have_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = Scripted(tuple(f"{arx(1)}\nK = {k}\n" for k in range(4)), "expert")
+    monkeypatch.setitem(AGENTS, "expert", lambda: quick)
     problem = write_problem(tmp_path / "toy", experiments=5)
     view = search_several(problem, {"claude": ["try 2"]}, companion="expert")
     assert [e.proposed.agent for e in view.finished] == ["", "expert", "claude", *2 * ["expert"]]
