@@ -80,15 +80,15 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
     AgentRow("mcp", "candidates that a client of the server submits"),
 )
 AGENTS: dict[str, Callable[[], Agent]] = {r.name: r.make for r in AGENT_ROWS if r.make is not None}
+COMPANION = "with"
+"""Setting with the name of the built-in agent that proposes beside coding agents."""
 RESERVED = frozenset(row.name for row in AGENT_ROWS)
+"""Names that no other agent may have."""
 
 
 def agent_row(name: str) -> AgentRow:
     """Return the facts about the agent with this name; the defaults where it is not built in."""
     return next((row for row in AGENT_ROWS if row.name == name), AgentRow(name, ""))
-
-
-"""Names that no other agent may have."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def recorded_agent(
             "package brings: it was not imported; if you trust its code, give --trust-agent "
             "with exactly this name"
         )
-    make = AGENTS.get(name)
+    make = AGENTS.get(settings.get(COMPANION, name))
     return make() if make is not None else None
 
 

@@ -211,6 +211,7 @@ class Proposal:
         remark: message for the user about the search, "" for none
         fair: whether the linear model is scored in its place where that is as good inside the
             training records
+        agent: name of the one that proposes it, "" where the search has one agent alone
     """
 
     source: str
@@ -222,6 +223,7 @@ class Proposal:
     ticket: str = ""
     remark: str = ""
     fair: bool = False
+    agent: str = ""
 
 
 class Agent(Protocol):

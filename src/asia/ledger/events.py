@@ -160,6 +160,8 @@ class SessionStarted:
 
     session: int
     grant: float | None
+    agent: Annotated[str, _omitted("")] = ""
+    """Its name, where a search has several."""
     event: Literal["session_started"] = "session_started"
 
 
@@ -444,6 +446,8 @@ class Proposed:
     """Comment of the agent on the state of the search, for display; "" for none."""
     fair: Annotated[bool, _omitted(False)] = False
     """True if the linear model is scored in its place where that is as good."""
+    agent: Annotated[str, _omitted("")] = ""
+    """Name of the one that proposed it, in a search of several agents."""
     event: Literal["proposed"] = "proposed"
 
 

@@ -23,6 +23,8 @@ def experiment_facts(e: Experiment, view: SearchView) -> Iterator[tuple[str, str
     p, result = e.proposed, e.result
     parent = f", derived from #{p.parent:02d}" if p.parent else ""
     yield "changed", f"{p.family}, {_PHASES[p.phase]}{parent}"
+    if p.agent:
+        yield "agent", p.agent
     yield "hypothesis", p.hypothesis
     yield "expected", p.expected
     if p.remark:

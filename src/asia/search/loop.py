@@ -260,6 +260,7 @@ class Loop:
                 ticket=proposal.ticket,
                 remark=proposal.remark,
                 fair=proposal.fair,
+                agent=proposal.agent,
             )
         )
         return None

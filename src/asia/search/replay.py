@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from asia._progress import tracked
-from asia.agents.registry import recorded_agent
+from asia.agents.registry import COMPANION, recorded_agent
 from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, DivergedError
 from asia.errors import InternalError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
@@ -204,7 +204,7 @@ class _Replaying:
         if event.phase == "baseline":
             if as_bytes(first_source(self.problem)) != source:
                 detail = "the baseline differs"
-        elif self.agent is None:
+        elif self.agent is None or self._is_submitted(event):
             return item
         else:
             try:
@@ -227,6 +227,11 @@ class _Replaying:
             different = [what for what, (there, here) in pairs.items() if there != here]
             detail = f"the proposal differs in {', '.join(different)}" if different else ""
         return replace(item, proposal="differs" if detail else "same", detail=detail)
+
+    def _is_submitted(self, event: Proposed) -> bool:
+        """Return whether a coding agent beside the search's own one proposed this."""
+        beside = COMPANION in self.run.view.started.agent_settings
+        return beside and self.agent is not None and event.agent != self.agent.name
 
     def _seen(self, before: SearchView) -> AgentView:
         """The agent's view, with the budget of that time."""

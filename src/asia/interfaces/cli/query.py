@@ -147,7 +147,7 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
         for e in view.experiments:
             p, r = e.proposed, e.result
             row = (
-                name, e.number, p.parent, p.phase, start.agent, p.family, p.title,
+                name, e.number, p.parent, p.phase, p.agent or start.agent, p.family, p.title,
                 p.hypothesis, p.expected, r.status if r else "running",
                 e.value, decision_text(e, view),
                 r.seconds if r else None, " ".join(view.tags(e.number)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -89,7 +90,10 @@ def run(
     problem: ProblemName = "two_tanks_sim",
     agent: Annotated[
         str,
-        typer.Option(help="Agent: expert, random, bayes, llm, command:NAME, or your module:Class."),
+        typer.Option(
+            help="Agent: expert, random, bayes, llm, command:NAME, or your module:Class. "
+            "command:NAME*3,expert: several at once."
+        ),
     ] = "expert",
     options: SearchOptions,
     engine: EngineOptions,
@@ -186,6 +190,9 @@ def search_and_print(
 # Agents as the command starts them.
 
 
+_MOST_CODING_AGENTS = 16
+
+
 @dataclass(frozen=True)
 class Driver:
     """Name, factory and settings of an agent."""
@@ -207,7 +214,8 @@ def make_driver(
     from asia.agents.registry import choose_agent
     from asia.interfaces.coding_agents.presets import PRESETS
 
-    kind = agent.partition(":")[0]
+    commands = any(part.startswith(PREFIX) for part in agent.split(","))
+    kind = "command" if commands else agent
     for owners, options in (
         (("llm",), given(llm, leave_out=("base_url", "api_key_env"))),
         (("command",), given(command, leave_out=("stuck_minutes",))),
@@ -221,7 +229,7 @@ def make_driver(
                     f"'{agent}': leave it out"
                 )
 
-    if agent.startswith(PREFIX):
+    if commands:
         return command_driver(agent, command, models)
     if agent == "llm":
         model = llm.agent(models)
@@ -233,16 +241,26 @@ def make_driver(
 
 
 def command_driver(agent: str, options: CommandOptions, limits: ModelOptions) -> Driver:
-    """Make the driver of `command:NAME`: program, rules and jail. Raises UserError for a missing
-    program, and for a limit that cannot be enforced."""
-    from asia.agents.registry import RESERVED
+    """Make the driver of `command:NAME*N,expert`: program, rules and jail. Raises UserError for
+    another text, a missing program, and a limit that cannot be enforced."""
+    from asia.agents.registry import COMPANION, RESERVED, make_agent
     from asia.interfaces.coding_agents.presets import make_preset
     from asia.interfaces.coding_agents.session import CommandRules, check_rules, command_agent
     from asia.judge.sandbox.jail import Jail
 
-    name = agent.removeprefix(PREFIX)
+    said, *others = sorted(agent.split(","), key=lambda part: not part.startswith(PREFIX))
+    name, times, digits = said.removeprefix(PREFIX).partition("*")
     if not name.replace("-", "").isalnum():
         raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
+    count = int(digits) if re.fullmatch(r"[0-9]{1,3}", digits) else int(not times)
+    if not 1 <= count <= _MOST_CODING_AGENTS:
+        raise UserError(
+            f"--agent {agent}: expected command:NAME*N with N from 1 to {_MOST_CODING_AGENTS}"
+        )
+    if others not in ([], ["expert"]):
+        raise UserError(
+            f"--agent {agent}: expected one command:NAME*N, and beside it expert or nothing"
+        )
     if name in RESERVED:
         raise UserError(f"--agent {agent}: '{name}' is reserved; choose another name")
     preset = make_preset(name, options.command)
@@ -270,11 +288,18 @@ def command_driver(agent: str, options: CommandOptions, limits: ModelOptions) ->
         "jail": "namespace" if rules.jail else "none",
         **access_settings(rules),
     }
+    names, label = (name,) if others else ("",), name
+    if count > 1:
+        names, label = tuple(f"{name}-{k}" for k in range(1, count + 1)), f"{name}-x{count}"
+        settings["agents"] = str(count)
+    if others:
+        label, settings[COMPANION] = f"{label}+{others[0]}", others[0]
+    companion = make_agent(others[0]) if others else None
     return Driver(
-        name,
-        lambda ready: command_agent(ready, preset, rules),
+        label,
+        lambda ready: command_agent(ready, preset, rules, names, companion),
         settings,
-        (f"agent {name}: {isolation}",),
+        (f"agent {label}: {isolation}",),
     )
 
 

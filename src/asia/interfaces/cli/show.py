@@ -94,6 +94,7 @@ def _experiment_object(run: Run, experiment: Experiment) -> dict[str, object]:
         "run": run.name,
         "experiment": experiment.number,
         "verdict": verdict_object(run.view) if run.view.best is experiment else None,
+        "agent": proposed.agent or run.view.started.agent,
         "title": proposed.title,
         "family": proposed.family,
         "phase": proposed.phase,

@@ -17,13 +17,21 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from asia._text import one_line
-from asia.agents.view import Agent, AgentStoppedError, Journal, Proposal, SubmittedAgent
+from asia.agents.view import (
+    Agent,
+    AgentStoppedError,
+    AgentView,
+    Journal,
+    Proposal,
+    SubmittedAgent,
+)
 from asia.errors import UserError
 from asia.interfaces.coding_agents.presets import Preset, Stream, filled
 from asia.interfaces.workspace.process import Queue, clear_known, clearing, start_search
@@ -156,7 +164,7 @@ class CommandRules(Access):
 
 @dataclass(frozen=True)
 class Spent:
-    """Usage of all sessions, including the present one."""
+    """Usage of all sessions, including the present ones."""
 
     tokens: int
     """Input and output tokens."""
@@ -166,11 +174,12 @@ class Spent:
     """Upper bound of the cost of sessions that ended without telling it, USD."""
 
     @classmethod
-    def of(cls, view: SearchView, stream: Stream | None) -> Spent:
-        """Return the usage from the ledger and the stream of the present session."""
-        now = stream.usage if stream is not None else Usage()
+    def of(cls, view: SearchView, streams: Sequence[Stream]) -> Spent:
+        """Return the usage from the ledger and the streams of the present sessions."""
+        now = [stream.usage for stream in streams]
         grants = {event.session: event.grant for event in view.begun}
-        tokens, cost, unknown = now.tokens, now.cost or 0.0, 0.0
+        tokens, cost = sum(u.tokens for u in now), sum(u.cost or 0.0 for u in now)
+        unknown = 0.0
         for session in view.sessions:
             usage = session.usage or Usage()
             tokens += usage.tokens
@@ -376,48 +385,78 @@ class Session:
             self._keep(self.number, data)
 
 
-# A coding agent that drives a search: started in a jail, capped, stopped, taken up again.
+# Coding agents that drive a search: started in jails, capped, stopped, taken up again.
 
 
 SOCKET = "desk.sock"
 WORKSPACES = ".workspaces"
 
 
+@dataclass
+class CodingAgent:
+    """One coding agent of a search: its workspace, submission server and session."""
+
+    name: str
+    """Name in the ledger; "" where the search has one agent alone."""
+    folder: Path
+    """Its workspace."""
+    server: DeskServer
+    configs: tuple[Path, ...]
+    """Its own copies of the configurations."""
+    session: Session | None = None
+    ended: StopCause | None = None
+    """Why it is not started again."""
+    quiet_since: float = 0.0
+    looked: float = 0.0
+    idle: int = 0
+    """Sessions in a row without a new experiment."""
+    resumable: str = ""
+    totals: Usage = field(default_factory=lambda: Usage(cost=0.0))
+
+    def experiments(self, view: SearchView) -> int:
+        """Number of experiments that it proposed."""
+        return sum(e.proposed.agent == self.name for e in view.experiments)
+
+
 class CommandAgent(SubmittedAgent):
-    """Brings what its process hands in through the socket."""
+    """Brings what its coding agents hand in through their sockets, first come, first served, and
+    what another agent beside them proposes.
+    """
 
     def __init__(
         self,
-        name: str,
         preset: Preset,
         rules: CommandRules,
         prepared: Prepared,
-        folder: Path,
+        folders: Mapping[str, Path],
+        companion: Agent | None = None,
     ) -> None:
-        super().__init__(name, self._take, self._watch)
-        self._preset, self._folder = preset, folder
+        """folders: workspaces of the coding agents by name, see `CodingAgent`. companion: proposes
+        while nothing waits, no more than its share of the experiments."""
+        super().__init__(prepared.started.agent, self._take)
+        self._preset, self._rules, self._companion = preset, rules, companion
         self._directory = prepared.directory
         self._queue = Queue(prepared.directory)
         self._steering = Steering(prepared.directory)
         self._secrets = Secrets.of(rules.variables)
-        self._session: Session | None = None
         self._view: SearchView | None = None
+        self._asked: AgentView | None = None
         self._finished_before = 0
         self._private = Path(tempfile.mkdtemp(prefix="asia-agent-"))
-        self._socket = self._private / "desk"
-        self._socket.mkdir()
-        configs = copied_configs(rules, self._private / "home") if rules.jail else ()
-        self._rules = replace(rules, configs=configs)
-        desk = RunDesk(prepared.directory, isolation=Isolation(prepared.started.isolation))
-        self._server = DeskServer(self._socket / SOCKET, desk)
-        self._quiet_since = self._looked = time.monotonic()
-        self._idle = 0
-        self._resumable = ""
-        self._totals = Usage(cost=0.0)
+        isolation = Isolation(prepared.started.isolation)
+        self._agents: list[CodingAgent] = []
+        for name, folder in folders.items():
+            private = self._private / f"{len(self._agents)}"
+            socket = private / "desk"
+            socket.mkdir(parents=True)
+            configs = copied_configs(rules, private / "home") if rules.jail else ()
+            desk = RunDesk(prepared.directory, isolation=isolation, agent=name)
+            server = DeskServer(socket / SOCKET, desk)
+            self._agents.append(CodingAgent(name, folder, server, configs))
         self._until: float | None = None
 
     def attach(self, journal: Journal) -> None:
-        """Begin to serve the socket; account for sessions that were cut off."""
+        """Begin to serve the sockets; account for sessions that were cut off."""
         super().attach(journal)
         view = self._view
         assert view is not None
@@ -433,13 +472,16 @@ class CommandAgent(SubmittedAgent):
                     # The cost of a session that was cut off is unknown.
                     usage = replace(stream.usage, cost=None)
                 journal.record(SessionEnded(event.session, "cut off with the search", usage))
-        self._server.__enter__()
+        for agent in self._agents:
+            agent.quiet_since = agent.looked = time.monotonic()
+            agent.server.__enter__()
 
     def close(self) -> None:
-        """End the socket and remove what was private, whatever happened."""
-        if self._session is not None:
-            self._session.end()
-        self._server.__exit__(None, None, None)
+        """End the sockets and remove what was private, whatever happened."""
+        for agent in self._agents:
+            if agent.session is not None:
+                agent.session.end()
+            agent.server.__exit__(None, None, None)
         shutil.rmtree(self._private, ignore_errors=True)
 
     def told(self, event: Event, view: SearchView, store: Store) -> None:
@@ -447,97 +489,154 @@ class CommandAgent(SubmittedAgent):
         self._view = view
         clearing(self._queue, event)
         if isinstance(event, Evaluated):
-            self._quiet_since = time.monotonic()
-            # An agent that makes its folder unwritable harms only itself.
-            with contextlib.suppress(UserError):
-                write_views(self._folder, view, store)
+            author = view.experiment(event.experiment).proposed.agent
+            for agent in self._agents:
+                if agent.name == author:
+                    agent.quiet_since = time.monotonic()
+                # An agent that makes its folder unwritable harms only itself.
+                with contextlib.suppress(UserError):
+                    write_views(agent.folder, view, store)
 
     def started(self, view: SearchView, store: Store) -> None:
         """The search begins or goes on."""
         self._view = view
         clear_known(self._queue, view)
-        write_views(self._folder, view, store)
+        for agent in self._agents:
+            write_views(agent.folder, view, store)
+
+    def propose(self, view: AgentView) -> Proposal:
+        """The next candidate handed in, or one of the agent beside the coding agents."""
+        self._asked = view
+        return super().propose(view)
 
     def stopped(self, reason: StopReason) -> None:
-        """The search has stopped: where its budget is spent the agent may finish what it says."""
-        session = self._session
-        if session is None:
-            return
+        """The search has stopped: where its budget is spent the agents may finish what they say."""
         if reason in ("budget", "hours", "saturated"):
-            session.wait(60.0)
-        self._finish(session)
+            end = time.monotonic() + 60.0
+            for agent in self._agents:
+                if agent.session is not None:
+                    agent.session.wait(max(0.0, end - time.monotonic()))
+        self.leaving()
 
     def leaving(self) -> None:
-        """The search is left, by an error or an interrupt where a session still goes on."""
-        if self._session is not None:
-            self._finish(self._session)
+        """The search is left, by an error or an interrupt where sessions still go on."""
+        for agent in self._agents:
+            if agent.session is not None:
+                self._finish(agent, agent.session)
 
     def _take(self) -> Proposal | None:
-        """Return the submitted candidate, unless a cap was reached meanwhile."""
-        session = self._session
-        stop = self._judge(None) if session is None else session.stopped
-        if stop is not None:
-            if session is not None:
-                self._finish(session)
-            raise AgentStoppedError(*stop)
-        proposal = self._queue.take()
-        return None if proposal is None else self._secrets.clean_proposal(proposal)
+        """Start agents, or start them again, and return the submitted candidate, unless a cap was
+        reached meanwhile. What agents that have all ended left in the queue waits for the next
+        sitting."""
+        queue = self._queue
+        waiting = {p.agent for ticket in queue.tickets() if (p := queue.get(ticket))}
+        for agent in self._agents:
+            if agent.ended is None:
+                session = agent.session
+                cause = self._judge(agent, None) if session is None else session.stopped
+                if cause is not None:
+                    if session is not None:
+                        self._finish(agent, session)
+                    self._end(agent, cause)
+                elif agent.name not in waiting:
+                    self._attend(agent)
+        all_ended = all(agent.ended is not None for agent in self._agents)
+        proposal = None if all_ended else queue.take()
+        if proposal is not None:
+            return self._secrets.clean_proposal(proposal)
+        proposal = self._ask_companion()
+        if proposal is None and all_ended:
+            causes = [(agent.name, agent.ended) for agent in self._agents if agent.ended]
+            details = (
+                f"{name}: {cause.detail}" if name else cause.detail for name, cause in causes
+            )
+            raise AgentStoppedError(causes[-1][1].reason, "; ".join(details))
+        return proposal
 
-    def _watch(self, seconds: float) -> None:
-        """Called while nothing is handed in: start, or start again."""
-        del seconds
-        session = self._session
+    def _ask_companion(self) -> Proposal | None:
+        """Its proposal, once a view, while it has no more experiments than each of the others on
+        average."""
+        view, asked, companion = self._view, self._asked, self._companion
+        if companion is None or asked is None:
+            return None
+        assert view is not None
+        own = sum(e.proposed.agent == companion.name for e in view.experiments)
+        others = sum(agent.experiments(view) for agent in self._agents)
+        if own * sum(agent.ended is None for agent in self._agents) > others:
+            return None
+        self._asked = None
+        try:
+            proposal = companion.propose(asked)
+        except AgentStoppedError:
+            return None
+        return proposal and replace(proposal, agent=companion.name)
+
+    def _attend(self, agent: CodingAgent) -> None:
+        session = agent.session
         if session is None:
-            self._session = self._start()
+            agent.session = self._start(agent)
             return
         if session.error is not None:
             raise session.error
         if not session.ended:
             return
-        outcome = self._finish(session)
+        outcome = self._finish(agent, session)
         view = self._view
         assert view is not None
-        stop = session.stopped or Spent.of(view, None).over(self._rules)
+        stop = session.stopped or self._spent(agent, None).over(self._rules)
         if stop is not None:
-            raise AgentStoppedError(stop.reason, f"{stop.detail}; last session: {outcome}")
-        brought = len(view.experiments) > session.experiments
-        self._idle = 0 if brought else self._idle + 1
-        if self._idle >= 2:
-            raise AgentStoppedError(
-                "agent", f"it ended {self._idle} times without a new experiment, last: {outcome}"
-            )
+            self._end(agent, StopCause(stop.reason, f"{stop.detail}; last session: {outcome}"))
+            return
+        brought = agent.experiments(view) > session.experiments
+        agent.idle = 0 if brought else agent.idle + 1
+        if agent.idle >= 2:
+            detail = f"it ended {agent.idle} times without a new experiment, last: {outcome}"
+            self._end(agent, StopCause("agent", detail))
 
-    def _judge(self, stream: Stream | None) -> StopCause | None:
-        """Why the agent must stop, from any thread, while something is evaluated too."""
+    def _end(self, agent: CodingAgent, cause: StopCause) -> None:
+        """Leave an agent ended, and the search as well where the cause is a cap of all of them."""
+        agent.ended = cause
+        if cause.reason not in ("stuck", "agent"):
+            raise AgentStoppedError(*cause)
+
+    def _spent(self, agent: CodingAgent, stream: Stream | None) -> Spent:
+        """Return the usage of all, with that of the agent's present stream."""
+        assert self._view is not None
+        streams = [] if stream is None else [stream]
+        streams += [s.stream for a in self._agents if a is not agent and (s := a.session)]
+        return Spent.of(self._view, streams)
+
+    def _judge(self, agent: CodingAgent, stream: Stream | None) -> StopCause | None:
+        """Why an agent must stop, from any thread, while something is evaluated too."""
         now, rules, view = time.monotonic(), self._rules, self._view
         assert view is not None
-        if view.pending is not None or self._queue.tickets():
-            self._quiet_since = now
-        elif self._steering.paused:
-            self._quiet_since += now - self._looked
-        self._looked = now
-        over = Spent.of(view, stream).over(rules)
+        if view.pending is not None or self._queue.tickets() or self._steering.paused:
+            agent.quiet_since += now - agent.looked
+        agent.looked = now
+        over = self._spent(agent, stream).over(rules)
         if over is not None:
             return over
         if self._until is not None and now > self._until:
             return StopCause("time", f"{rules.minutes:g} minutes are over")
-        if stream is not None and now - self._quiet_since > 60 * rules.stuck_minutes:
+        if stream is not None and now - agent.quiet_since > 60 * rules.stuck_minutes:
             return StopCause("stuck", f"no new experiment in {rules.stuck_minutes:g} minutes")
-        last = view.finished[self._finished_before :][-rules.failures :]
+        sitting = view.finished[self._finished_before :]
+        last = [e for e in sitting if e.proposed.agent == agent.name][-rules.failures :]
         if len(last) == rules.failures and all(e.score is None for e in last):
             return StopCause("stuck", f"{rules.failures} experiments in a row have no score")
         return None
 
-    def _start(self) -> Session:
+    def _start(self, agent: CodingAgent) -> Session:
         preset, rules, view, journal = self._preset, self._rules, self._view, self._journal
         assert view is not None
         assert journal is not None
         number = 1 + max(len(view.begun), len(view.sessions))
+        again = any(event.agent == agent.name for event in view.begun)
         # A jail has a new home each time: only a configuration folder outlives a session.
-        kept = not rules.jail or preset.config in [path.name for path in rules.configs]
-        resumes = bool(number > 1 and self._resumable and preset.resume and kept)
+        kept = not rules.jail or preset.config in [path.name for path in agent.configs]
+        resumes = bool(again and agent.resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
-        if number > 1:
+        if again:
             prompt = (
                 "Continue the search that PROGRAM.md describes: read results.tsv and "
                 "search_journal.md first. There are experiments left."
@@ -547,42 +646,56 @@ class CommandAgent(SubmittedAgent):
                 "Read PROGRAM.md in this folder and do what it says: find the best model you can, "
                 "with `asia try`."
             )
+        if agent.name:
+            prompt += (
+                f"\n\nYou are {agent.name}. Other agents work on this search as well and share its "
+                "budget: results.tsv and search_journal.md hold their experiments too."
+            )
         prompt += "".join(f"\n\nNote of the user: {n.text}" for n in view.notes)
-        write_file(self._folder, "PROMPT.md", prompt)
-        spent = Spent.of(view, None)
-        left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
+        write_file(agent.folder, "PROMPT.md", prompt)
+        left = None if rules.cost is None else self._grant(view, rules.cost)
         if left is not None and preset.dollars:
             template = (*template, *preset.dollars)
         if rules.model is not None and preset.model:
             template = (*template, *preset.model, rules.model)
-        place = INSIDE if rules.jail else str(self._folder)
+        place = INSIDE if rules.jail else str(agent.folder)
         values = {
             "prompt": prompt,
             "prompt_file": f"{place}/PROMPT.md",
             "workspace": place,
-            "session": self._resumable,
+            "session": agent.resumable,
             "dollars": "" if left is None else f"{left:.4f}",
         }
         if not resumes:
-            self._totals = Usage(cost=0.0)
-        journal.record(SessionStarted(number, left))
-        self._quiet_since = self._looked = time.monotonic()
-        process = self._spawn(filled(template, values))
-        stream = Stream(preset.format, self._totals)
-        return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
+            agent.totals = Usage(cost=0.0)
+        journal.record(SessionStarted(number, left, agent.name))
+        agent.quiet_since = agent.looked = time.monotonic()
+        process = self._spawn(agent, filled(template, values))
+        stream = Stream(preset.format, agent.totals)
+        brought = agent.experiments(view)
+        return Session(process, stream, number, brought, self._keep, partial(self._judge, agent))
 
-    def _spawn(self, arguments: list[str]) -> subprocess.Popen[bytes]:
-        rules = self._rules
+    def _grant(self, view: SearchView, cost: float) -> float:
+        """Return the allowance of a session, USD: what the others under way may not spend, in equal
+        parts for those that wait for one."""
+        spent = Spent.of(view, ())
+        under_way = {s.number for agent in self._agents if (s := agent.session)}
+        granted = sum(e.grant or 0.0 for e in view.begun if e.session in under_way)
+        waiting = sum(a.session is None and a.ended is None for a in self._agents)
+        return (cost - spent.cost - spent.unknown - granted) / waiting
+
+    def _spawn(self, agent: CodingAgent, arguments: list[str]) -> subprocess.Popen[bytes]:
+        rules, socket = self._rules, agent.server.path
         passed = {n: os.environ[n] for n in rules.variables if n in os.environ}
         if rules.jail:
-            jail = Jail(self._folder, self._socket, rules.mounts, rules.configs, rules.network)
+            jail = Jail(agent.folder, socket.parent, rules.mounts, agent.configs, rules.network)
             arguments = jail.command(arguments)
             environment = jail_environment(rules.mounts)
             environment[DESK_VARIABLE] = f"{SOCKET_FOLDER}/{SOCKET}"
         else:
             environment = {
                 name: os.environ[name] for name in ("PATH", "HOME", "LANG") if name in os.environ
-            } | {DESK_VARIABLE: str(self._socket / SOCKET)}
+            } | {DESK_VARIABLE: str(socket)}
         try:
             return subprocess.Popen(
                 arguments,
@@ -590,7 +703,7 @@ class CommandAgent(SubmittedAgent):
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 env=environment | passed,
-                cwd=self._folder,
+                cwd=agent.folder,
                 start_new_session=True,
             )
         except OSError as error:
@@ -604,15 +717,15 @@ class CommandAgent(SubmittedAgent):
         assert journal is not None
         journal.record(Streamed(number, journal.put(self._secrets.clean_bytes(data))))
 
-    def _finish(self, session: Session) -> str:
-        """End it and write its account; how it ended, in words."""
+    def _finish(self, agent: CodingAgent, session: Session) -> str:
+        """End a session and write its account; how it ended, in words."""
         journal = self._journal
         assert journal is not None
-        self._session = None
+        agent.session = None
         outcome = one_line(self._secrets.clean(session.end()))
         stream = session.stream
-        self._resumable = stream.session
-        self._totals = stream.totals or stream.before
+        agent.resumable = stream.session
+        agent.totals = stream.totals or stream.before
         known = self._preset.format != "none"
         journal.record(SessionEnded(session.number, outcome, stream.usage if known else None))
         return outcome
@@ -627,23 +740,33 @@ class CommandAgent(SubmittedAgent):
         return stream
 
 
-def command_agent(prepared: Prepared, preset: Preset, rules: CommandRules) -> CommandAgent:
-    """A coding agent with its folder, to be closed after the search. Raises UserError when a cap
-    cannot be kept or the agent's program cannot be run."""
+def command_agent(
+    prepared: Prepared,
+    preset: Preset,
+    rules: CommandRules,
+    names: Sequence[str] = ("",),
+    companion: Agent | None = None,
+) -> CommandAgent:
+    """Coding agents with their folders, to be closed after the search; names and companion as in
+    `CommandAgent`. Raises UserError when a cap cannot be kept or the program cannot be run."""
     check_rules(preset, rules)
     directory, started = prepared.directory, prepared.started
     if rules.jail:
         check_access(rules, directory, prepared.problem)
     check_program(preset.start[0], rules if rules.jail else None)
-    # One level below the folder of runs, so that its contents are never listed as runs.
-    folder = directory.resolve().parent / WORKSPACES / directory.name
-    if os.path.lexists(folder / "ledger.jsonl"):
-        raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")
-    write_folder(
-        folder, prepared.problem, started.experiments, seed=started.seed,
-        confinement=rules.confinement if rules.jail else Confinement.OPEN,
-    )  # fmt: skip
-    return CommandAgent(started.agent, preset, rules, prepared, folder)
+    # Below the folder of runs, so that their contents are never listed as runs.
+    place = directory.resolve().parent / WORKSPACES / directory.name
+    folders = {name: place / name for name in names}
+    for folder in folders.values():
+        if os.path.lexists(folder / "ledger.jsonl"):
+            raise UserError(
+                f"{folder} contains ledger.jsonl, so it looks like a run: remove this file"
+            )
+        write_folder(
+            folder, prepared.problem, started.experiments, seed=started.seed,
+            confinement=rules.confinement if rules.jail else Confinement.OPEN,
+        )  # fmt: skip
+    return CommandAgent(preset, rules, prepared, folders, companion)
 
 
 def search_with_process(

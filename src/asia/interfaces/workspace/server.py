@@ -368,13 +368,16 @@ class RunDesk:
         directory: Path,
         keep_alive: Callable[[Path], None] | None = None,
         isolation: Isolation | None = None,
+        agent: str = "",
     ) -> None:
         """keep_alive: called with the run directory where the search is needed and does not run;
-        isolation: level of dry runs and pictures, None for the strongest of this machine."""
+        isolation: level of dry runs and pictures, None for the strongest of this machine;
+        agent: recorded as the one that submits, where a search has several."""
         self._directory = directory.resolve()
         self._queue = Queue(self._directory)
         self._keep_alive = keep_alive
         self._isolation = isolation
+        self._agent = agent
         self._extra_work = threading.Lock()
         self._read: tuple[tuple[int, ...], Run] | None = None
 
@@ -401,7 +404,7 @@ class RunDesk:
         """Hand in a candidate; its static errors are reported at once and cost no experiment. The
         same source, comments apart, is one submission, unless its result depended on how fast the
         machine was."""
-        proposal = tidy(proposal)
+        proposal = replace(tidy(proposal), agent=self._agent)
         try:
             check_source(proposal.source)
         except CandidateError as error:

@@ -28,12 +28,16 @@ def reply(number: int, tokens: int) -> None:
         say(type="message", role="assistant", content="working")
 
 
-def attempt(name: str, order: int) -> None:
+def candidate(name: str, order: int) -> str:
     source = (Path(__file__).parents[2] / "search" / "toy.py").read_text("utf-8")
     scope: dict[str, str] = {}
     exec(source[source.index('ARX = """') : source.index("NOISE =")], scope)
     text = scope["CRASH"] if order < 0 else scope["ARX"].replace("{order}", str(order))
-    Path("candidate.py").write_text(text + f"\nNAME = {name!r}\n")
+    return text + f"\nNAME = {name!r}\n"
+
+
+def attempt(name: str, order: int) -> None:
+    Path("candidate.py").write_text(candidate(name, order))
     done = subprocess.run([*ASIA, "try", "-m", name], capture_output=True, text=True, check=False)
     say(type="tool_result", text=done.stdout + done.stderr)
 
@@ -57,6 +61,9 @@ def main() -> None:
             time.sleep(0.5)
     if SCENARIO == "probe":
         probe()
+    if SCENARIO == "plan":
+        follow(json.loads(ARGUMENTS[0]))
+        return
     first = not any("resume" in a for a in ARGUMENTS)
     orders = {"fail": [-1, -1, -1], "twice": [2] if first else [3]}.get(SCENARIO, [2, 3])
     for number, order in enumerate(orders):
@@ -67,6 +74,29 @@ def main() -> None:
         say(type="result", subtype="success", total_cost_usd=cost, num_turns=2, session_id="s-1")
     elif FORMAT == "gemini":
         say(type="result", status="success", stats={"input_tokens": 200, "output_tokens": 20})
+
+
+def follow(plans: dict[str, list[str]]) -> None:
+    """Do the steps that a plan has for this agent: `try N`, `submit N` without waiting for its
+    result, `see N` (wait until results.tsv has it), `die` (in the first session)."""
+    from asia.agents import Proposal
+    from asia.interfaces.workspace.server import SocketDesk
+
+    prompt = Path("PROMPT.md").read_text()
+    for step in plans[prompt.partition("You are ")[2].partition(".")[0]]:
+        verb, _, number = step.partition(" ")
+        name = f"order {number}"
+        if verb == "die" and not prompt.startswith("Continue the search"):
+            os.kill(os.getpid(), 9)
+        elif verb == "see":
+            end = time.monotonic() + 120.0
+            while name not in Path("results.tsv").read_text() and time.monotonic() < end:
+                time.sleep(0.1)
+        elif verb == "try":
+            attempt(name, 1 + int(number) % 3)
+        elif verb == "submit":
+            desk = SocketDesk(Path(os.environ["ASIA_DESK"]))
+            desk.submit(Proposal(candidate(name, 1 + int(number) % 3), "", name, name, ""))
 
 
 def probe() -> None:
