@@ -328,8 +328,10 @@ def _function(at: Step, v: Values) -> Values:
     given = [next(inputs) if is_input else x for x, is_input in zip(v, passed, strict=True)]
     found = _lowered_values(body, closed.jaxpr, closed.consts, given)
     program = body.program([number(body, x) for x in found])
-    name = at.params["name"].removeprefix(FUNCTION).encode("ascii")
-    call = at.build.add("call", operands, tuple(name), program)
+    title, *names = at.params["name"].removeprefix(FUNCTION).split()
+    named = zip(names, passed[len(v) - len(names) :], strict=True)
+    text = " ".join([title, *(name for name, is_input in named if is_input)])
+    call = at.build.add("call", operands, tuple(text.encode("ascii")), program)
     return [at.build.add("part", (call,), (k,)) for k in range(len(found))]
 
 

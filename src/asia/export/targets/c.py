@@ -244,9 +244,11 @@ class Functions:
         arguments = [
             *(f"asia_real {v.at('0')}" if math.prod(v.shape) == 1
               else f"const asia_real *{address(v)}" for v in inputs),
-            *(f"asia_real *{address(v)}" for v in outputs),
+            *(f"asia_real *{address(v)}" for v in outputs if math.prod(v.shape)),
         ]  # fmt: skip
-        head = "\n    ".join(textwrap.wrap(f"static void {name}({', '.join(arguments)})", _WIDEST))
+        together = ", ".join(text.replace(" ", "~") for text in arguments)
+        head = "\n    ".join(textwrap.wrap(f"static void {name}({together})", _WIDEST))
+        head = head.replace("~", " ")
         text = self.function(head, program, inputs, outputs, inside)
         self.texts.append(text)
         self._known[key] = name
@@ -570,7 +572,7 @@ class Statements:
         found = [self.region(shape) for shape in node.body.output_shapes]
         arguments = [
             *(o.at("0") if math.prod(o.shape) == 1 else address(o) for o in given),
-            *(address(o) for o in found),
+            *(address(o) for o in found if math.prod(o.shape)),
         ]
         self.line(f"{name}({', '.join(arguments)});")
         return found
