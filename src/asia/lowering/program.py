@@ -41,7 +41,6 @@ OPERATIONS = (
 FUNCTION = "asia "
 """Start of the name of a JAX function that becomes a call; the names of the function and of its
 last inputs follow."""
-LONGEST_LABEL = 200
 LARGEST_RANK = 8
 LARGEST_SIZE = 1 << 26
 
@@ -153,16 +152,18 @@ def _matmul(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
 
 def _label(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
     """attrs: codes of the characters of a name."""
-    _demand(_LABEL.fullmatch(text_of(attrs)) is not None, "is no name")
+    _demand(len(names_of(attrs)) == 1, "takes one name")
     return _one(shapes)
 
 
-_LABEL = re.compile(f"[A-Za-z0-9_ ]{{1,{LONGEST_LABEL}}}")
+def names_of(attrs: Attributes) -> list[str]:
+    """Names that the attributes of a label or a call spell. Raises ShapeError for others."""
+    text = "".join(chr(code) if 0 < code < 128 else "?" for code in attrs)
+    _demand(_SPELT.fullmatch(text) is not None, "has no name")
+    return text.split(" ")
 
 
-def text_of(attrs: Attributes) -> str:
-    """Text of the attributes of a label or a call."""
-    return "".join(chr(code) if 0 < code < 128 else "?" for code in attrs)
+_SPELT = re.compile(r"[A-Za-z0-9_]+( [A-Za-z0-9_]+)*")
 
 
 _RULES: dict[str, Callable[[Attributes, Sequence[Shape]], Shape]] = {
@@ -441,8 +442,9 @@ _NEUTRAL = {"add": {0: 0.0, 1: 0.0}, "sub": {0: 0.0}, "mul": {0: 1.0, 1: 1.0}, "
 
 def _check_body(op: str, attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:
     if op == "call":
-        if body is None or body.inputs != tuple(shapes) or not _LABEL.fullmatch(text_of(attrs)):
-            raise ShapeError("a call takes a name, and a body of the shapes that it reads")
+        fits = body is not None and body.inputs == tuple(shapes)
+        if not fits or len(names_of(attrs)) > 1 + len(shapes):
+            raise ShapeError("a call takes its name, those of inputs, and a body that reads them")
         return
     if body is None or len(attrs) != 3 or min(attrs) < 0:
         raise ShapeError("a loop takes a body and three counts")

@@ -13,7 +13,6 @@ from asia.lowering import wire
 from asia.lowering.program import (
     BINARY,
     FUNCTION,
-    LONGEST_LABEL,
     UNARY,
     Builder,
     LoweredModel,
@@ -336,7 +335,7 @@ def _function(at: Step, v: Values) -> Values:
 
 
 def _labelled(at: Step, v: Values) -> Values:
-    name = re.sub(r"[^A-Za-z0-9_]", "_", at.params["name"])[:LONGEST_LABEL]
+    name = re.sub(r"[^A-Za-z0-9_]", "_", at.params["name"]) or "_"
     return [at.add("label", v[0], attrs=name.encode("ascii"))]
 
 

@@ -23,7 +23,7 @@ from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers, Target
 from asia.export.targets.indices import Places, inside_places, kept_axes, slices, source_places
-from asia.lowering.program import Node, Program, Shape, text_of
+from asia.lowering.program import Node, Program, Shape, names_of
 from asia.lowering.wire import write_program
 
 # Files around `model.c`.
@@ -229,7 +229,7 @@ class Functions:
         key = b"".join(packed)
         if key in self._known:
             return self._known[key]
-        title, *given = text_of(call.attrs).split()
+        title, *given = names_of(call.attrs)
         name, inside = self._names.new(title), Names()
         given = [*(f"c{k}" for k in range(len(program.inputs) - len(given))), *given]
         inputs = [
@@ -433,7 +433,7 @@ class Statements:
         if node.op == "label":
             if math.prod(one.shape) != 1:
                 return one
-            return self._variable(one, self.names.new(text_of(node.attrs)))
+            return self._variable(one, self.names.new(names_of(node.attrs)[0]))
         if node.op == "reshape":
             return replace(one, shape=node.shape)
         if node.op == "broadcast" and math.prod(one.shape) == 1:
