@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,15 @@ def simulate_cases(
     return y[structure.n_fit :, :, 0].transpose(2, 0, 1)
 
 
+class _Parts(NamedTuple):
+    """Parts of a step; all but the first are functions of their own in printed code."""
+
+    confine: Confinement
+    update: Step
+    output: Step
+    transport: Callable[..., Any]  # As `advance_buffer`, of line, x and u
+
+
 @dataclass(frozen=True)
 class CaseSteps:
     """Step-by-step form of `simulate_cases`, for a batch of cases."""
@@ -95,7 +104,7 @@ class CaseSteps:
         return cls(structure, scales, prior, z, effects(structure, scales, z), late)
 
     @cached_property
-    def _moves(self) -> tuple[Confinement, Step, Step, Callable[..., Any]]:
+    def _parts(self) -> _Parts:
         structure, effect, xp = self.structure, self.effect, namespace(self.effect.parameters)
         confine, advance = sample_by_sample(structure, self.scales, effect)
 
@@ -108,13 +117,13 @@ class CaseSteps:
         if structure.equations.delays:
             transport = function(xp, "transport past states inputs", transport)
         update = function(xp, "update states inputs", advance)
-        return confine, update, function(xp, "output states inputs", observe), transport
+        return _Parts(confine, update, function(xp, "output states inputs", observe), transport)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """States (B, nx), the inputs (B, held, nu) that still act, and the buffer (B, L, n) of the
         delays in the equations: at the first sample, with inputs that move between samples at the
         one before."""
-        _ = self._moves  # Made here, as the function below is traced on its own.
+        _ = self._parts  # Made here, as the function below is traced on its own.
         inputs = start_inputs(self.structure, past_u, u)
 
         def start(past_u: AnyArray, past_y: AnyArray, inputs: AnyArray) -> AnyArray:
@@ -139,7 +148,7 @@ class CaseSteps:
 
     def _begin(self, x: AnyArray, first: AnyArray) -> Any:
         """State before an input (nu, B) that has always been held, with states x (nx, B)."""
-        xp, now = namespace(x, first), self._moves[0](x[:, None])
+        xp, now = namespace(x, first), self._parts.confine(x[:, None])
         with np.errstate(all="ignore"):
             buffer = empty_buffer(self.structure, self.effect.parameters, now, first[:, None])
         held = int(np.ceil(self.late).max(initial=0)) + self.structure.between.memory
@@ -153,12 +162,14 @@ class CaseSteps:
         if not self.structure.between.memory:
             return scan(self.step, state, rows)
         first = self._observe(state[0].T[:, None], inputs[0][:, None])
+        if len(rows) == 1:
+            return state, first[None]
         state, y = scan(self.step, state, rows[1:])
         return state, namespace(y).concatenate([first[None], y])
 
     def _observe(self, now: AnyArray, acting: AnyArray) -> AnyArray:
         """Outputs (B, ny) at states (nx, 1, B) with inputs (nu + m, 1, B)."""
-        return self._moves[2](now, acting)[:, 0].T
+        return self._parts.output(now, acting)[:, 0].T
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
         """Advance by one sample. With held inputs the output is read before the states move; with
@@ -172,9 +183,9 @@ class CaseSteps:
         now, window = x.T[:, None], window[:, :, None]
         with np.errstate(all="ignore"):
             past = buffer.transpose(1, 2, 0)[:, :, None]
-            buffer, acting = self._moves[3](past, now, window[-1])
+            buffer, acting = self._parts.transport(past, now, window[-1])
             # Equations with delays have held inputs.
-            after = self._moves[1](now, window if memory else acting[None])
+            after = self._parts.update(now, window if memory else acting[None])
             here = after if memory else now
             y = self._observe(here, acting)
         return (after[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)), y
