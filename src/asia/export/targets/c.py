@@ -260,9 +260,11 @@ class Functions:
     ) -> str:  # fmt: skip
         """Print a function that computes a program."""
         code = Statements(self._constants, self, names or Names(re.findall(r"\w+", head)))
-        found = [code.own(value) for value in code.run(program, inputs)]
+        free = [] if any(v.overwritten for v in outputs) else outputs
+        found = [code.own(value) for value in code.run(program, inputs, free)]
         for target, value in zip(outputs, found, strict=True):
-            code.copy(target.at, value.at, math.prod(value.shape))
+            if value is not target:
+                code.copy(target.at, value.at, math.prod(value.shape))
         self.work = max(self.work, code.memory.size)
         lines = [head, "{"]
         if code.memory.size:
@@ -309,9 +311,9 @@ class Memory:
 
 # C statements of a lowered program.
 #
-# Numbers lie in one array `w` of a function, whose places are used again once nothing reads them;
-# a value that is computed elementwise and read once has no place at all. Constants are `static
-# const`.
+# Arrays lie in one array `w` of a function, whose places are used again once nothing reads them;
+# a number is a variable, and a value that is computed elementwise and read once has no place at
+# all. Constants are `static const`.
 
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -359,11 +361,15 @@ class Statements:
         # Regions of `w`, and the depth of loops at which each was taken.
         self._mine: dict[int, int] = {}
 
-    def run(self, program: Program, inputs: Sequence[Value]) -> list[Value]:
-        """Print a program and return the values of its outputs."""
+    def run(
+        self, program: Program, inputs: Sequence[Value], outputs: Sequence[Value] = ()
+    ) -> list[Value]:
+        """Print a program and return the values of its outputs; `outputs` are places for them that
+        nothing reads, which those made of parts are written to."""
+        places = dict(zip(program.outputs, outputs, strict=False))
         values = [*inputs, *(self._constant(c) for c in program.constants)]
         nodes = list(enumerate(program.nodes, program.first_node))
-        outputs = set(program.outputs)
+        returned = set(program.outputs)
         last = {i: place for place, node in nodes for i in node.operands}
         count = Counter([*(i for _, node in nodes for i in node.operands), *program.outputs])
         results: dict[int, list[Value]] = {}
@@ -376,13 +382,17 @@ class Statements:
                 values.append(Value(str, (), places=held))
             elif node.op == "part":
                 values.append(results[node.operands[0]][node.attrs[0]])
+            elif node.op == "concat":
+                target = places.get(place) or self.region(node.shape)
+                self._concat(node, operands, target)
+                values.append(target)
             else:
                 values.append(self._value(node, operands, count[place]))
             # Free the regions of `w` that nothing reads any more.
             live = {
                 region
                 for i, value in enumerate(values)
-                if i in outputs or last.get(i, -1) > place
+                if i in returned or last.get(i, -1) > place
                 for region in value.places
             }
             unread = [
@@ -445,8 +455,6 @@ class Statements:
             return self._matmul(node, [self._placed(o) for o in operands])
         if node.op in _REDUCED:
             return self._reduced(node, self._placed(operands[0]))
-        if node.op == "concat":
-            return self._concat(node, operands)
         if node.op == "pad":
             target = self.region(node.shape)
             self.copy(target.at, operands[1].at, math.prod(node.shape))
@@ -544,8 +552,8 @@ class Statements:
         self._repeat([source.shape[a] for a in order], take)
         return target
 
-    def _concat(self, node: Node, operands: list[Value]) -> Value:
-        target, axis = self.region(node.shape), node.attrs[0]
+    def _concat(self, node: Node, operands: list[Value], target: Value) -> None:
+        axis = node.attrs[0]
         outer, wide = math.prod(node.shape[:axis]), math.prod(node.shape[axis:])
         start = 0
         for value in operands:
@@ -559,7 +567,6 @@ class Statements:
                 ),
             )
             start += size
-        return target
 
     def _call(self, node: Node, operands: list[Value]) -> list[Value]:
         assert node.body is not None
