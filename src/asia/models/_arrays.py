@@ -123,11 +123,9 @@ def repeated(step: Callable[[AnyArray], AnyArray], times: int, state: AnyArray) 
     return state
 
 
-def folded(
-    step: Callable[[AnyArray, AnyArray], AnyArray], state: AnyArray, rows: AnyArray
-) -> AnyArray:
+def folded(step: Callable[[Any, AnyArray], Any], state: Any, rows: AnyArray) -> Any:
     """Apply `step(state, rows[k])` -> state to all rows."""
-    if len(rows) > 1 and namespace(state, rows) is not np:
+    if len(rows) > 1 and namespace(rows) is not np:
         import jax
 
         return jax.lax.scan(lambda state, row: (step(state, row), None), state, rows)[0]

@@ -376,8 +376,12 @@ class Statements:
         for place, node in nodes:
             operands = [values[i] for i in node.operands]
             if node.op in ("loop", "call"):
-                make = self._loop if node.op == "loop" else self._call
-                results[place] = make(node, operands)
+                parts = {n.attrs[0] for _, n in nodes if n.op == "part" and n.operands == (place,)}
+                results[place] = (
+                    self._loop(node, operands, parts)
+                    if node.op == "loop"
+                    else self._call(node, operands)
+                )
                 held = frozenset[int]().union(*(part.places for part in results[place]))
                 values.append(Value(str, (), places=held))
             elif node.op == "part":
@@ -584,12 +588,16 @@ class Statements:
         self.line(f"{name}({', '.join(arguments)});")
         return found
 
-    def _loop(self, node: Node, operands: list[Value]) -> list[Value]:
+    def _loop(self, node: Node, operands: list[Value], parts: set[int]) -> list[Value]:
+        """Print a loop; of its stacked results only those among the `parts` are kept."""
         assert node.body is not None
         length, same, carried = node.attrs
         body = node.body
         carry = [self._kept(o) for o in operands[same : same + carried]]
-        stacked = [self.region((length, *s)) for s in body.output_shapes[carried:]]
+        stacked = [
+            self.region((length, *s) if k in parts else (0,))
+            for k, s in enumerate(body.output_shapes[carried:], carried)
+        ]
         rows = [self._placed(o) for o in operands[same + carried :]]
         fixed = [self._placed(o) for o in operands[:same]]
         self._deepest += 1
@@ -599,7 +607,8 @@ class Statements:
         read = [replace(r, at=_row(r, index), shape=r.shape[1:]) for r in rows]
         found = self.run(body, [*fixed, *carry, *read])
         for place, value in zip(stacked, found[carried:], strict=True):
-            self.copy(_row(place, index), value.at, math.prod(value.shape))
+            if math.prod(place.shape):
+                self.copy(_row(place, index), value.at, math.prod(value.shape))
         after = [self._kept(value) for value in found[:carried]]
         for place, value in zip(carry, after, strict=True):
             self.copy(place.at, value.at, math.prod(value.shape))

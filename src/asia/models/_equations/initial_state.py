@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.models._arrays import AnyArray, function, namespace, scan
+from asia.models._arrays import AnyArray, folded, function, namespace, scan
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import (
     Confinement,
@@ -132,7 +132,9 @@ class CaseSteps:
 
         estimate = function(namespace(u), "estimate past_u past_y inputs", start)
         x = estimate(past_u, past_y, inputs)
-        return self._through(x, inputs)[0] if len(inputs) else self._begin(x, u.T)
+        state = self._begin(x, inputs[0] if len(inputs) else u.T)
+        known = inputs.swapaxes(1, 2)[1 if self.structure.between.memory else 0 :]
+        return folded(lambda state, row: self.step(state, row)[0], state, known)
 
     def _simulated(self, x0: AnyArray, inputs: AnyArray) -> AnyArray:
         """Outputs (T, ny, K, B) from states x0 (nx, K, B), with inputs (T, nu, B)."""
@@ -140,10 +142,7 @@ class CaseSteps:
             return simulate(self.structure, self.scales, self.z, x0, inputs)[0]
         import jax
 
-        def past_outputs(x: AnyArray, inputs: AnyArray) -> AnyArray:
-            return self._through(x, inputs)[1]
-
-        one = function(namespace(x0), "past_outputs states past_u", past_outputs)
+        one = function(namespace(x0), "past_outputs states past_u", self._past_outputs)
         return jax.lax.map(lambda x: one(x, inputs), x0.swapaxes(0, 1)).transpose(1, 3, 0, 2)
 
     def _begin(self, x: AnyArray, first: AnyArray) -> Any:
@@ -155,17 +154,16 @@ class CaseSteps:
         line = xp.repeat(first.T[:, None], held, axis=1)
         return now[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)
 
-    def _through(self, x: AnyArray, inputs: AnyArray) -> tuple[Any, AnyArray]:
-        """State after inputs (T, nu, B), and outputs (T, B, ny), with states x (nx, B) at the first
-        of them."""
+    def _past_outputs(self, x: AnyArray, inputs: AnyArray) -> AnyArray:
+        """Outputs (T, B, ny) with inputs (T, nu, B) and states x (nx, B) at the first of them."""
         state, rows = self._begin(x, inputs[0]), inputs.swapaxes(1, 2)
         if not self.structure.between.memory:
-            return scan(self.step, state, rows)
+            return scan(self.step, state, rows)[1]
         first = self._observe(state[0].T[:, None], inputs[0][:, None])
         if len(rows) == 1:
-            return state, first[None]
-        state, y = scan(self.step, state, rows[1:])
-        return state, namespace(y).concatenate([first[None], y])
+            return first[None]
+        later = scan(self.step, state, rows[1:])[1]
+        return namespace(later).concatenate([first[None], later])
 
     def _observe(self, now: AnyArray, acting: AnyArray) -> AnyArray:
         """Outputs (B, ny) at states (nx, 1, B) with inputs (nu + m, 1, B)."""
