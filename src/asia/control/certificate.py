@@ -140,7 +140,7 @@ def _narrowest_tube(
 
 def _slope_choices(model: LoweredModel) -> tuple[bool, ...]:
     """Whether functions are replaced by the slopes of chords: both where there are functions."""
-    has_functions = any(node.op not in _ARITHMETIC for node in model.step.nodes)
+    has_functions = any(node.op not in _ARITHMETIC for node in model.step.plain.nodes)
     return (False, True) if has_functions else (False,)
 
 

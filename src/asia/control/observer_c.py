@@ -10,7 +10,7 @@ from asia.data.trajectory import Array
 from asia.export.model import ExportModel
 from asia.export.targets.c import (
     Constants,
-    c_function,
+    Functions,
     column_names,
     header_fields,
     number,
@@ -37,6 +37,7 @@ def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
         model: names, units and ranges of the signals
     """
     low, n, constants = observer.low, observer.order, Constants()
+    functions = Functions(constants)
     z, u = value_at("z", 0, (n,)), value_at("u", 0, (low.nu,))
     window = [value_at("past_u", 0, (low.n_past_u, low.nu)),
               value_at("past_y", 0, (low.n_past_y, low.ny)), u]  # fmt: skip
@@ -46,10 +47,11 @@ def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
         (observer.update, [z, u],
          [value_at("after", 0, (n,)), value_at("slope", 0, (n, n + low.nu))]),
     )  # fmt: skip
-    body = "\n".join(
-        c_function(head, *part, constants)[0]
+    steps = [
+        functions.function(head, *part)
         for head, part in zip(_OBSERVER_FUNCTIONS, parts, strict=True)
-    )
+    ]
+    body = "\n".join([*functions.texts, *steps])
 
     def row(values: Sequence[float] | Array) -> str:
         return ", ".join(number(float(v)) for v in values)

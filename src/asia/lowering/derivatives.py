@@ -27,6 +27,7 @@ def jacobian(program: Program, varying: Sequence[int] | None = None) -> Program:
     Raises:
         ShapeError: for an operation that cannot be differentiated
     """
+    program = program.plain
     varying = range(len(program.inputs)) if varying is None else varying
     sizes = [math.prod(program.inputs[i]) for i in varying]
     count = sum(sizes)

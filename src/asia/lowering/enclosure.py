@@ -351,6 +351,7 @@ def enclose(
     """Enclose the outputs of a program for all inputs in sets of the same generators; `chord`:
     functions are replaced by the slope of their chord, else by the mean of their slopes. Raises
     UnboundedError where an operation has no finite enclosure."""
+    program = program.plain
     generators = len(inputs[0].g) if inputs else 0
     values: list[Enclosure | list[Enclosure]] = [
         *inputs, *(point(c, generators) for c in program.constants)
@@ -461,7 +462,7 @@ _NOT_AFFINE = {
 def affine_matrices(model: LoweredModel) -> tuple[Enclosure, Enclosure, Enclosure, Enclosure]:
     """Enclosures of A, B, C, D of a step that is affine in states and input. Raises UnboundedError
     for any other step."""
-    step, ny = model.step, model.ny
+    step, ny = model.step.plain, model.ny
     varies = [*[True] * len(step.inputs), *[False] * len(step.constants)]
     for node in step.nodes:
         moved = [varies[i] for i in node.operands]

@@ -34,7 +34,7 @@ def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
     key = id(program)
     function = _functions.get(key)
     if function is None:
-        function = _functions[key] = _prepared(program)
+        function = _functions[key] = _prepared(program.plain)
         weakref.finalize(program, _functions.pop, key, None)
     with np.errstate(all="ignore"):
         found = function(*(np.asarray(x, np.float64) for x in inputs))
@@ -186,8 +186,8 @@ def operations(program: Program) -> int:
     its cost."""
     shapes, total = program.shapes, 0
     for node in program.nodes:
-        if node.op == "loop" and node.body is not None:
-            total += node.attrs[0] * operations(node.body)
+        if node.body is not None:
+            total += (node.attrs[0] if node.op == "loop" else 1) * operations(node.body)
         elif node.op == "matmul":
             total += 2 * math.prod(node.shape) * shapes[node.operands[0]][-1]
         else:

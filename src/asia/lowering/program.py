@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -31,9 +32,15 @@ BINARY = frozenset(_BINARY.split())
 REDUCTIONS = frozenset(("rsum", "rmax", "rmin", "rprod"))
 """Sum, greatest, least and product over the axes that the attributes name."""
 _MOVES = frozenset(["reshape", "broadcast", "transpose", "slice", "pick", "concat", "pad"])
-OPERATIONS = (*sorted(UNARY | BINARY | REDUCTIONS | _MOVES), *("select", "matmul", "loop", "part"))
+OPERATIONS = (
+    *sorted(UNARY | BINARY | REDUCTIONS | _MOVES),
+    *("select", "matmul", "loop", "part", "call", "label"),
+)
 """All operations; their order gives their numbers in packed programs."""
 
+FUNCTION = "asia "
+"""Start of the name of a JAX function that becomes a call; the names of the function and of its
+last inputs follow."""
 LARGEST_RANK = 8
 LARGEST_SIZE = 1 << 26
 
@@ -143,6 +150,22 @@ def _matmul(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
     return (*left[:-1], right[-1])
 
 
+def _label(attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
+    """attrs: codes of the characters of a name."""
+    _demand(len(names_of(attrs)) == 1, "takes one name")
+    return _one(shapes)
+
+
+def names_of(attrs: Attributes) -> list[str]:
+    """Names that the attributes of a label or a call spell. Raises ShapeError for others."""
+    text = "".join(chr(code) if 0 < code < 128 else "?" for code in attrs)
+    _demand(_SPELT.fullmatch(text) is not None, "has no name")
+    return text.split(" ")
+
+
+_SPELT = re.compile(r"[A-Za-z0-9_]+( [A-Za-z0-9_]+)*")
+
+
 _RULES: dict[str, Callable[[Attributes, Sequence[Shape]], Shape]] = {
     **dict.fromkeys(UNARY, _elementwise(1)),
     **dict.fromkeys(BINARY, _elementwise(2)),
@@ -156,13 +179,15 @@ _RULES: dict[str, Callable[[Attributes, Sequence[Shape]], Shape]] = {
     "concat": _concat,
     "pad": _pad,
     "matmul": _matmul,
+    "label": _label,
 }
 
 
 # Lowered program: inputs, constants and operations in the order they are computed.
 #
 # Values are numbered: first the inputs, then the constants, then one a node. A node `loop` repeats
-# its body; its results are read by nodes `part`.
+# its body; its results are read by nodes `part`. So are those of a node `call`, whose body is a
+# function with a name, and a node `label` names its operand: both are for readers of printed code.
 
 
 @dataclass(frozen=True)
@@ -175,11 +200,13 @@ class Node:
     """Numbers of the values that the operation reads."""
     attrs: Attributes
     """Constant attributes. Those of a loop are the number of iterations, of constant values and of
-    carried values; the operands that follow these are read row by row."""
+    carried values; the operands that follow these are read row by row. Those of a call spell the
+    names of the function and its last inputs, those of a label a name."""
     shape: Shape
-    """Shape of the result; () for a loop."""
+    """Shape of the result; () for a loop or a call."""
     body: Program | None = None
-    """Body of a loop: (constant, carried, rows) -> (carried, results that are stacked)."""
+    """Body of a loop: (constant, carried, rows) -> (carried, results that are stacked), or of a
+    call."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +238,17 @@ class Program:
         """Shapes of the outputs."""
         shapes = self.shapes
         return tuple(shapes[i] for i in self.outputs)
+
+    @cached_property
+    def plain(self) -> Program:
+        """The program without calls and labels, for readers that need no names."""
+        if all(
+            node.op not in ("call", "label") and (node.body is None or node.body.plain is node.body)
+            for node in self.nodes
+        ):
+            return self
+        build = Builder(self.inputs)
+        return build.program(inlined(build, self, range(len(self.inputs)), plain=True))
 
     def with_outputs(self, outputs: Sequence[int]) -> Program:
         """Make a program of the same inputs with other outputs, without the nodes that they do not
@@ -290,8 +328,8 @@ class Builder:
         """Add an operation and return the number of its result. Raises ShapeError if operands and
         attributes do not fit together."""
         shapes = [self.shape(i) for i in operands]
-        if op == "loop":
-            _check_loop(attrs, shapes, body)
+        if op in ("loop", "call"):
+            _check_body(op, attrs, shapes, body)
             shape: Shape = ()
         elif op == "part":
             shape = _part_shape(attrs, [self._values[i - len(self.inputs)] for i in operands])
@@ -375,12 +413,25 @@ class Builder:
         return self._known[key]
 
 
-def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int]:
-    """Inline a program into another one and return the numbers of its outputs there."""
+def inlined(
+    build: Builder, program: Program, inputs: Sequence[int], *, plain: bool = False
+) -> list[int]:
+    """Inline a program into another one and return the numbers of its outputs there; `plain`
+    inlines the functions that it calls too, and leaves labels out."""
     values = [*inputs, *(build.constant(c) for c in program.constants)]
-    for node in program.nodes:
-        operands = [values[i] for i in node.operands]
-        values.append(build.add(node.op, operands, node.attrs, node.body))
+    results: dict[int, list[int]] = {}
+    for place, node in enumerate(program.nodes, program.first_node):
+        operands, body = [values[i] for i in node.operands], node.body
+        if plain and node.op == "call" and body is not None:
+            results[place] = inlined(build, body, operands, plain=True)
+            values.append(-1)
+        elif plain and node.op == "label":
+            values.append(operands[0])
+        elif node.op == "part" and node.operands[0] in results:
+            values.append(results[node.operands[0]][node.attrs[0]])
+        else:
+            body = body.plain if plain and body is not None else body
+            values.append(build.add(node.op, operands, node.attrs, body))
     return [values[i] for i in program.outputs]
 
 
@@ -389,7 +440,12 @@ def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int
 _NEUTRAL = {"add": {0: 0.0, 1: 0.0}, "sub": {0: 0.0}, "mul": {0: 1.0, 1: 1.0}, "div": {0: 1.0}}
 
 
-def _check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:
+def _check_body(op: str, attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:
+    if op == "call":
+        fits = body is not None and body.inputs == tuple(shapes)
+        if not fits or len(names_of(attrs)) > 1 + len(shapes):
+            raise ShapeError("a call takes its name, those of inputs, and a body that reads them")
+        return
     if body is None or len(attrs) != 3 or min(attrs) < 0:
         raise ShapeError("a loop takes a body and three counts")
     length, same, carried = attrs
@@ -405,9 +461,9 @@ def _check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None
 def _part_shape(attrs: Attributes, operands: Sequence[object]) -> Shape:
     loop = operands[0] if len(operands) == 1 else None
     if not isinstance(loop, Node) or loop.body is None or len(attrs) != 1:
-        raise ShapeError("a part belongs to a loop")
+        raise ShapeError("a part belongs to a loop or a call")
     shapes = loop.body.output_shapes
     if not 0 <= attrs[0] < len(shapes):
-        raise ShapeError("a loop has no such part")
-    stacked = attrs[0] >= loop.attrs[2]
+        raise ShapeError("a loop or a call has no such part")
+    stacked = loop.op == "loop" and attrs[0] >= loop.attrs[2]
     return ((loop.attrs[0],) if stacked else ()) + shapes[attrs[0]]

@@ -1,6 +1,7 @@
 """Lowering of JAX programs: one rule a primitive."""
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
@@ -9,7 +10,16 @@ from numpy.typing import NDArray
 
 from asia.errors import UserError
 from asia.lowering import wire
-from asia.lowering.program import BINARY, UNARY, Builder, LoweredModel, Program, Shape, ShapeError
+from asia.lowering.program import (
+    BINARY,
+    FUNCTION,
+    UNARY,
+    Builder,
+    LoweredModel,
+    Program,
+    Shape,
+    ShapeError,
+)
 
 # Building blocks of the lowering rules: values, steps and their errors.
 
@@ -297,11 +307,36 @@ def _lowered_values(build: Builder, jaxpr: Any, consts: Sequence[Any], given: Va
 
 
 def _called(at: Step, v: Values) -> Values:
+    if at.params.get("name", "").startswith(FUNCTION):
+        return _function(at, v)
     keys = ("jaxpr", "call_jaxpr", "fun_jaxpr")
     inner = next(at.params[key] for key in keys if key in at.params)
     if hasattr(inner, "consts"):
         return _lowered_values(at.build, inner.jaxpr, inner.consts, v)
     return _lowered_values(at.build, inner, (), v)
+
+
+def _function(at: Step, v: Values) -> Values:
+    """Lower a function of `asia.models._arrays.function` as a call. Numbers that differ from model
+    to model are its inputs, so that models of one structure share it."""
+    closed = at.params["jaxpr"]
+    passed = [isinstance(x, int) or (np.asarray(x).dtype.kind == "f" and np.size(x) > 0) for x in v]
+    operands = [number(at.build, x) for x, is_input in zip(v, passed, strict=True) if is_input]
+    body = Builder(tuple(at.build.shape(i) for i in operands))
+    inputs = iter(range(len(operands)))
+    given = [next(inputs) if is_input else x for x, is_input in zip(v, passed, strict=True)]
+    found = _lowered_values(body, closed.jaxpr, closed.consts, given)
+    program = body.program([number(body, x) for x in found])
+    title, *names = at.params["name"].removeprefix(FUNCTION).split()
+    named = zip(names, passed[len(v) - len(names) :], strict=True)
+    text = " ".join([title, *(name for name, is_input in named if is_input)])
+    call = at.build.add("call", operands, tuple(text.encode("ascii")), program)
+    return [at.build.add("part", (call,), (k,)) for k in range(len(found))]
+
+
+def _labelled(at: Step, v: Values) -> Values:
+    name = re.sub(r"[^A-Za-z0-9_]", "_", at.params["name"]) or "_"
+    return [at.add("label", v[0], attrs=name.encode("ascii"))]
 
 
 def _cond(at: Step, v: Values) -> Values:
@@ -431,6 +466,7 @@ _RULES: dict[str, Rule] = {
     "select_n": _select,
     "clamp": lambda at, v: [at.wise("min", at.wise("max", v[1], v[0]), v[2])],
     "convert_element_type": _convert,
+    "name": _labelled,
     "not": lambda at, v: [at.wise("sub", np.float64(1.0), v[0])],
     "or": _elementwise("max"),
     "and": _elementwise("mul"),

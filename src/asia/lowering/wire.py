@@ -27,7 +27,7 @@ REFUSED = b"ASIA-REFUSED-1\n"
 REFUSAL_BYTES = 600
 LARGEST_BYTES = 64 * 1024 * 1024
 _MOST_NODES = 200_000
-_DEEPEST = 4
+_DEEPEST = 12
 _HEAD = struct.Struct("<5I")
 _COUNT = struct.Struct("<I")
 _NODE = struct.Struct("<BII")
@@ -43,7 +43,7 @@ def pack(model: LoweredModel) -> bytes:
     model.check()
     out = [MAGIC, _HEAD.pack(model.n_past_u, model.n_past_y, model.nu, model.ny, model.single)]
     for program in (model.initial, model.step):
-        _write(program, out)
+        write_program(program, out)
     return b"".join(out)
 
 
@@ -84,7 +84,8 @@ def unpack_for(data: bytes, sizes: tuple[int, int, int, int]) -> LoweredModel | 
     raise FormatError("a lowered model of other signals")
 
 
-def _write(program: Program, out: list[bytes]) -> None:
+def write_program(program: Program, out: list[bytes]) -> None:
+    """Append the bytes of a program."""
     out.append(_COUNT.pack(len(program.inputs)))
     out.extend(_numbers(shape) for shape in program.inputs)
     out.append(_COUNT.pack(len(program.constants)))
@@ -96,7 +97,7 @@ def _write(program: Program, out: list[bytes]) -> None:
         out.append(_NODE.pack(code, len(node.operands), len(node.attrs)))
         out.append(np.array((*node.operands, *node.attrs), "<i8").tobytes())
         if node.body is not None:
-            _write(node.body, out)
+            write_program(node.body, out)
     out.append(_numbers(program.outputs))
 
 
@@ -117,7 +118,7 @@ class _ProgramReader:
 
     def program(self, depth: int) -> Program:
         if depth > _DEEPEST:
-            raise FormatError("loops too deep in one another")
+            raise FormatError("loops and calls too deep in one another")
         inputs = tuple(self._shape() for _ in range(self._count()))
         build = Builder(inputs)
         places = list(range(len(inputs)))
@@ -139,7 +140,7 @@ class _ProgramReader:
             raise FormatError("an unknown operation")
         read = self._integers(operands)
         op, numbers = OPERATIONS[code], self._integers(attrs)
-        body = self.program(depth + 1) if op == "loop" else None
+        body = self.program(depth + 1) if op in ("loop", "call") else None
         return build.add(op, [_one_of(places, i) for i in read], numbers, body)
 
     def _count(self) -> int:

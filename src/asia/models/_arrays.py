@@ -15,6 +15,8 @@ from typing import Any, NamedTuple, TypeAlias, cast
 import numpy as np
 from numpy.typing import DTypeLike
 
+from asia.lowering.program import FUNCTION
+
 AnyArray: TypeAlias = Any
 """NumPy array in simulation, JAX array in training."""
 
@@ -115,17 +117,15 @@ def repeated(step: Callable[[AnyArray], AnyArray], times: int, state: AnyArray) 
     if times > 1 and not isinstance(state, np.ndarray):
         import jax
 
-        return jax.lax.fori_loop(0, times, lambda _, state: step(state), state)
+        return jax.lax.scan(lambda state, _: (step(state), None), state, length=times)[0]
     for _ in range(times):
         state = step(state)
     return state
 
 
-def folded(
-    step: Callable[[AnyArray, AnyArray], AnyArray], state: AnyArray, rows: AnyArray
-) -> AnyArray:
+def folded(step: Callable[[Any, AnyArray], Any], state: Any, rows: AnyArray) -> Any:
     """Apply `step(state, rows[k])` -> state to all rows."""
-    if len(rows) > 1 and namespace(state, rows) is not np:
+    if len(rows) > 1 and namespace(rows) is not np:
         import jax
 
         return jax.lax.scan(lambda state, row: (step(state, row), None), state, rows)[0]
@@ -158,6 +158,33 @@ def scan(
     if isinstance(results[0], tuple):
         return state, tuple(np.stack(each)[kept] for each in zip(*results, strict=True))
     return state, np.stack(results)[kept]
+
+
+def function(
+    xp: ModuleType, names: str, compute: Callable[..., AnyArray]
+) -> Callable[..., AnyArray]:
+    """Make a function that printed code keeps as one of its own. names: its name, then those of its
+    arguments."""
+    if xp is np:
+        return compute
+    import jax
+
+    def called(*arguments: AnyArray) -> AnyArray:
+        # Another function for each trace, as it may read values of the trace around it.
+        def own(*inner: AnyArray) -> AnyArray:
+            return compute(*inner)
+
+        own.__name__ = FUNCTION + names
+        return jax.jit(own)(*arguments)
+
+    return called
+
+
+def labelled(value: AnyArray, name: str) -> AnyArray:
+    """Name a JAX array in printed code."""
+    from jax.ad_checkpoint import checkpoint_name
+
+    return checkpoint_name(value, name)
 
 
 def tree_size(tree: Any) -> int:

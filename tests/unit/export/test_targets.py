@@ -1,5 +1,6 @@
 """Every family by every target: the files simulate as the model does, or nothing is written."""
 
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.export.pipeline import TARGETS, Ready, weighted_mean, write
-from asia.export.targets.c import FLAGS, c_compiler
+from asia.export.targets.c import FLAGS, c_compiler, c_source
 from asia.lowering.evaluation import simulate
 from asia.lowering.program import Builder, LoweredModel
 
@@ -182,6 +183,21 @@ def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> No
         )
         assert refused.returncode == 2
         assert message in refused.stderr
+
+
+def test_models_of_one_structure_share_functions_with_the_names_of_the_equations() -> None:
+    model = MODELS["grey-box, linear inputs"]()
+    other = replace(model, fitted=replace(model.fitted, z=model.fitted.z + 0.5))
+    given = ready(model)
+    mean = weighted_mean([(0.5, given.model.lowered), (0.5, lowered_model(other))])
+    source, _ = c_source(replace(given.model, lowered=mean))
+    heads = re.findall(r"^static void (\w+)\(", source, re.MULTILINE)
+    assert sorted(heads) == ["derivative", "estimate", "output", "past_outputs", "update"]
+    rates = source[source.index("static void derivative") : source.index("static void update")]
+    assert "const asia_real k = parameters;" in rates
+    assert "(k * (u0 - R(1.0))) - a)" in rates
+    alone, _ = c_source(given.model)
+    assert len(source) < 1.3 * len(alone)
 
 
 @pytest.mark.parametrize("passes", [3, 1000])

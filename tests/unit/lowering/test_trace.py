@@ -11,9 +11,10 @@ import pytest
 
 from asia.lowering.derivatives import derivatives
 from asia.lowering.evaluation import evaluate, simulate
-from asia.lowering.program import Builder, LoweredModel
+from asia.lowering.program import Builder, LoweredModel, names_of
 from asia.lowering.trace import lowered, lowered_bytes
 from asia.lowering.wire import unpack
+from asia.models._arrays import function, labelled
 
 
 @pytest.fixture(autouse=True)
@@ -58,7 +59,17 @@ def of(step) -> LoweredModel:
 
 
 W = np.array([[0.3, -0.2], [0.1, 0.5]])
+
+
+def damped(x, u):
+    """A function that printed code keeps, called twice, with a label and a number of the model."""
+    rate = jnp.asarray(0.5) * 0.6
+    inner = function(jnp, "damp states", lambda v: labelled(v * rate, "slow state"))
+    return inner(inner(x)) + u, inner(u)
+
+
 STEPS = {
+    "function": damped,
     "tanh": lambda x, u: (jnp.tanh(x @ W + u), x),
     "where": lambda x, u: (jnp.where(x > u, x, 0.5 * u), jnp.maximum(x, u)),
     "clip": lambda x, u: (jnp.clip(x + u, -1.0, 1.0), jnp.abs(x) ** 3 + u),
@@ -142,6 +153,16 @@ def test_what_cannot_be_lowered_is_named(step, words: str) -> None:
     found = unpack(lowered_bytes(Model(step), 1, 2, 2, 2))
     assert isinstance(found, str)
     assert words in found
+
+
+def test_functions_and_labels_keep_their_names_until_a_reader_needs_none() -> None:
+    step = of(damped).step
+    calls = [node for node in step.nodes if node.op == "call"]
+    assert [names_of(node.attrs) for node in calls] == [["damp", "states"]] * 3
+    labels = [node for node in calls[0].body.nodes if node.op == "label"]
+    assert [names_of(node.attrs) for node in labels] == [["slow_state"]]
+    assert not {"call", "label"} & {node.op for node in step.plain.nodes}
+    assert step.plain.plain is step.plain
 
 
 def test_a_model_without_steps_is_told_what_to_add() -> None:

@@ -34,7 +34,26 @@ def looped() -> LoweredModel:
     return LoweredModel(1, 1, 1, 1, False, model.initial, step.program([y, after]))
 
 
-@pytest.mark.parametrize("make", [first_order, looped])
+def called() -> LoweredModel:
+    """The same, the sum made by a function with a name."""
+    model = first_order()
+    body = Builder(((1,), (1,)))
+    total = body.add("label", [body.add("add", [0, 1])], tuple(b"total"))
+    step = Builder(((1,), (1,)))
+    call = step.add("call", [0, 1], tuple(b"sum x u"), body.program([total]))
+    y = step.add("part", [call], (0,))
+    after = step.add("add", [step.add("mul", [0, step.constant(0.5)]), 1])
+    return LoweredModel(1, 1, 1, 1, False, model.initial, step.program([y, after]))
+
+
+@pytest.mark.parametrize("names", [b"", b" ", b"a;b", b"sum x u more"])
+def test_a_call_takes_names_of_letters_and_no_more_than_it_reads(names: bytes) -> None:
+    body, step = Builder(((1,), (1,))), Builder(((1,), (1,)))
+    with pytest.raises(ShapeError):
+        step.add("call", [0, 1], tuple(names), body.program([0]))
+
+
+@pytest.mark.parametrize("make", [first_order, looped, called])
 def test_what_is_packed_comes_back(make) -> None:
     model = make()
     again = unpack(pack(model))
@@ -51,7 +70,7 @@ def test_what_is_packed_comes_back(make) -> None:
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_damaged_bytes_are_refused_or_are_a_whole_model(data: st.DataObject) -> None:
-    raw = bytearray(pack(looped()))
+    raw = bytearray(pack(data.draw(st.sampled_from([looped, called]))()))
     for _ in range(data.draw(st.integers(1, 3))):
         place = data.draw(st.integers(len(MAGIC), len(raw) - 1))
         raw[place] = data.draw(st.integers(0, 255))

@@ -6,10 +6,12 @@ import re
 import shutil
 import subprocess
 import tempfile
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,8 @@ from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed
 from asia.export.target import Answers, Target
 from asia.export.targets.indices import Places, inside_places, kept_axes, slices, source_places
-from asia.lowering.program import Node, Program, Shape
+from asia.lowering.program import Node, Program, Shape, names_of
+from asia.lowering.wire import write_program
 
 # Files around `model.c`.
 
@@ -98,19 +101,19 @@ def strides(shape: Shape) -> list[int]:
     return [math.prod(shape[a + 1 :]) for a in range(len(shape))]
 
 
-def runs(places: Places) -> list[tuple[int, int, int]]:
-    """Split indices into segments (first, step, count) of constant step."""
-    found: list[tuple[int, int, int]] = []
-    rest = places.tolist()
-    i = 0
-    while i < len(rest):
-        step = rest[i + 1] - rest[i] if i + 1 < len(rest) else 1
-        count = 1
-        while i + count < len(rest) and rest[i + count] - rest[i + count - 1] == step:
-            count += 1
-        found.append((rest[i], step, count))
-        i += count
-    return found
+def grid(places: Places) -> list[tuple[int, int]] | None:
+    """Counts and steps of nested loops that visit these indices row by row; None if there are no
+    such loops."""
+    found, axes = places.reshape(-1)[:1], list[tuple[int, int]]()
+    for axis, count in enumerate(places.shape):
+        if count > 1:
+            step = int(places.swapaxes(0, axis)[1].reshape(-1)[0] - found[0])
+            if axes and axes[-1][1] == count * step:
+                count *= axes.pop()[0]
+            axes.append((count, step))
+    for count, step in axes:
+        found = (found[:, None] + step * np.arange(count)).reshape(-1)
+    return axes if np.array_equal(found, places.reshape(-1)) else None
 
 
 # Values, constants and memory of printed C.
@@ -130,6 +133,8 @@ class Value:
     """`at` is a place, not a computation."""
     places: frozenset[int] = frozenset()
     """Regions of `w` that the value reads."""
+    overwritten: bool = False
+    """The value reads arguments that the function may overwrite."""
 
 
 @dataclass
@@ -170,9 +175,106 @@ def number(value: float) -> str:
     """Literal that C reads back bit by bit."""
     if math.isinf(value):
         return "(asia_real)HUGE_VAL" if value > 0 else "(-(asia_real)HUGE_VAL)"
-    if value == int(value) and abs(value) < 1e6:
-        return f"R({value:.1f})"
-    return f"R({value.hex()})"
+    return f"R({value!r})"
+
+
+def plus(start: int, i: str) -> str:
+    """Index `start + i`."""
+    if i.isdigit():
+        return str(start + int(i))
+    return f"{start} + {i}" if start else i
+
+
+def index(start: int, counters: Sequence[str], steps: Sequence[int]) -> str:
+    """Index of a number from the counters of loops; that of a single iteration is "0"."""
+    terms = [
+        i if step == 1 else f"{i} * {step}"
+        for i, step in zip(counters, steps, strict=True)
+        if step and i != "0"
+    ]
+    return plus(start, " + ".join(terms) or "0")
+
+
+class Names:
+    """C names of one function or file, each once."""
+
+    def __init__(self, taken: Sequence[str] = ()) -> None:
+        self._taken = {*_RESERVED, *taken}
+
+    def new(self, wanted: str) -> str:
+        """Name that is not taken yet, as close to the wanted one as C permits."""
+        name = f"_{wanted}" if wanted[:1].isdigit() else wanted
+        while name in self._taken or _OWN_NAME.fullmatch(name):
+            name += "_"
+        self._taken.add(name)
+        return name
+
+
+class Functions:
+    """`static` functions of a file, equal ones once, each after those that it calls."""
+
+    def __init__(self, constants: Constants) -> None:
+        self.texts: list[str] = []
+        self.work = 0
+        """Most numbers in the array `w` of a function."""
+        self._constants = constants
+        self._names = Names()
+        self._known: dict[bytes, str] = {}
+
+    def name_of(self, call: Node) -> str:
+        """Print the function of a call, if it is new, and return its name."""
+        assert call.body is not None
+        program, packed = call.body, [bytes(call.attrs)]
+        write_program(program, packed)
+        key = b"".join(packed)
+        if key in self._known:
+            return self._known[key]
+        title, *given = names_of(call.attrs)
+        name, inside = self._names.new(title), Names()
+        given = [*(f"c{k}" for k in range(len(program.inputs) - len(given))), *given]
+        inputs = [
+            value_at(inside.new(text), 0, shape) if math.prod(shape) != 1
+            else variable(inside.new(text), shape)
+            for text, shape in zip(given, program.inputs, strict=True)
+        ]  # fmt: skip
+        outputs = [
+            value_at(inside.new(f"to{k}"), 0, shape)
+            for k, shape in enumerate(program.output_shapes)
+        ]
+        arguments = [
+            *(f"asia_real {v.at('0')}" if math.prod(v.shape) == 1
+              else f"const asia_real *{address(v)}" for v in inputs),
+            *(f"asia_real *{address(v)}" for v in outputs if math.prod(v.shape)),
+        ]  # fmt: skip
+        together = ", ".join(text.replace(" ", "~") for text in arguments)
+        head = "\n    ".join(textwrap.wrap(f"static void {name}({together})", _WIDEST))
+        head = head.replace("~", " ")
+        text = self.function(head, program, inputs, outputs, inside)
+        self.texts.append(text)
+        self._known[key] = name
+        return name
+
+    def function(
+        self, head: str, program: Program, inputs: Sequence[Value], outputs: Sequence[Value],
+        names: Names | None = None,
+    ) -> str:  # fmt: skip
+        """Print a function that computes a program."""
+        code = Statements(self._constants, self, names or Names(re.findall(r"\w+", head)))
+        free = [] if any(v.overwritten for v in outputs) else outputs
+        found = [code.own(value) for value in code.run(program, inputs, free)]
+        for target, value in zip(outputs, found, strict=True):
+            if value is not target:
+                code.copy(target.at, value.at, math.prod(value.shape))
+        self.work = max(self.work, code.memory.size)
+        lines = [head, "{"]
+        if code.memory.size:
+            lines.append(f"    asia_real w[{code.memory.size}];")
+        if code.loops:
+            lines.append(f"    int {', '.join(f'i{d}' for d in range(code.loops))};")
+        text = "\n".join(code.lines)
+        arguments = re.findall(r"(\w+)[,)]", head)
+        unused = [n for n in arguments if not re.search(rf"\b{n}\b", text)]
+        return "\n".join([*lines, *(f"    (void){n};" for n in unused), text, "}", ""])
 
 
 class Memory:
@@ -209,9 +311,9 @@ class Memory:
 
 # C statements of a lowered program.
 #
-# Numbers lie in one array `w` of a function, whose places are used again once nothing reads them;
-# a value that is computed elementwise and read once has no place at all. Constants are `static
-# const`.
+# Arrays lie in one array `w` of a function, whose places are used again once nothing reads them;
+# a number is a variable, and a value that is computed elementwise and read once has no place at
+# all. Constants are `static const`.
 
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -232,47 +334,69 @@ _REDUCED = {
     "rmin": ("asia_min", "(asia_real)HUGE_VAL"),
 }
 _ELEMENTWISE = {*_INFIX, *_COMPARED, *_OWN, "neg", "select"}
-_MOST_TEXT, _MOST_RUNS = 300, 6
+_KEYWORDS = (
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while"
+)
+_MATHS = ("fabs", *_CALLED.split())
+_RESERVED = {"w", "main", *_KEYWORDS.split(), *_MATHS, *(f"{name}f" for name in _MATHS)}
+_OWN_NAME = re.compile(r"[kpitv]\d+|asia_\w*|ASIA_\w*|_[A-Z_]\w*")
+_MOST_TEXT, _WIDEST = 300, 100
 
 
 class Statements:
     """Statements of one C function."""
 
-    def __init__(self, constants: Constants) -> None:
+    def __init__(self, constants: Constants, functions: Functions, names: Names) -> None:
         self.constants = constants
+        self.functions = functions
+        self.names = names
         self.memory = Memory()
         self.lines: list[str] = []
+        self._variables = 0
         self.loops = 0
         self._indent = 1
         self._deepest = 0
         # Regions of `w`, and the depth of loops at which each was taken.
         self._mine: dict[int, int] = {}
 
-    def run(self, program: Program, inputs: Sequence[Value]) -> list[Value]:
-        """Print a program and return the values of its outputs."""
+    def run(
+        self, program: Program, inputs: Sequence[Value], outputs: Sequence[Value] = ()
+    ) -> list[Value]:
+        """Print a program and return the values of its outputs; `outputs` are places for them that
+        nothing reads, which those made of parts are written to."""
+        places = dict(zip(program.outputs, outputs, strict=False))
         values = [*inputs, *(self._constant(c) for c in program.constants)]
         nodes = list(enumerate(program.nodes, program.first_node))
-        outputs = set(program.outputs)
+        returned = set(program.outputs)
         last = {i: place for place, node in nodes for i in node.operands}
-        # Outputs count as read twice, so that they are stored.
-        count = Counter([i for _, node in nodes for i in node.operands])
-        count.update([*program.outputs, *program.outputs])
-        loops: dict[int, list[Value]] = {}
+        count = Counter([*(i for _, node in nodes for i in node.operands), *program.outputs])
+        results: dict[int, list[Value]] = {}
         for place, node in nodes:
             operands = [values[i] for i in node.operands]
-            if node.op == "loop":
-                loops[place] = self._loop(node, operands)
-                held = frozenset[int]().union(*(part.places for part in loops[place]))
+            if node.op in ("loop", "call"):
+                parts = {n.attrs[0] for _, n in nodes if n.op == "part" and n.operands == (place,)}
+                results[place] = (
+                    self._loop(node, operands, parts)
+                    if node.op == "loop"
+                    else self._call(node, operands)
+                )
+                held = frozenset[int]().union(*(part.places for part in results[place]))
                 values.append(Value(str, (), places=held))
             elif node.op == "part":
-                values.append(loops[node.operands[0]][node.attrs[0]])
+                values.append(results[node.operands[0]][node.attrs[0]])
+            elif node.op == "concat":
+                target = places.get(place) or self.region(node.shape)
+                self._concat(node, operands, target)
+                values.append(target)
             else:
                 values.append(self._value(node, operands, count[place]))
             # Free the regions of `w` that nothing reads any more.
             live = {
                 region
                 for i, value in enumerate(values)
-                if i in outputs or last.get(i, -1) > place
+                if i in returned or last.get(i, -1) > place
                 for region in value.places
             }
             unread = [
@@ -288,7 +412,13 @@ class Statements:
 
     def line(self, text: str) -> None:
         """Append one statement."""
-        self.lines.append("    " * self._indent + text)
+        indent = "    " * self._indent
+        self.lines.append(
+            textwrap.fill(
+                text, _WIDEST, initial_indent=indent, subsequent_indent=f"{indent}        ",
+                break_long_words=False, break_on_hyphens=False,
+            )
+        )  # fmt: skip
 
     def _constant(self, array: Array) -> Value:
         if array.size == 1:
@@ -304,16 +434,24 @@ class Statements:
         size = math.prod(shape)
         if size == 0:
             return Value(lambda i: "R(0.0)", shape)
+        if size == 1:
+            name = self._new_name()
+            self.line(f"asia_real {name};")
+            return variable(name, shape)
         start = self.memory.take(size)
         self._mine[start] = self._indent
         return value_at("w", start, shape, frozenset((start,)))
 
     def _value(self, node: Node, operands: list[Value], uses: int) -> Value:
+        one = operands[0]
+        if node.op == "label":
+            if math.prod(one.shape) != 1:
+                return one
+            return self._variable(one, self.names.new(names_of(node.attrs)[0]))
         if node.op == "reshape":
-            return Value(operands[0].at, node.shape, operands[0].plain, operands[0].places)
-        if node.op == "broadcast" and not operands[0].shape:
-            one = operands[0]
-            spread = Value(lambda i: one.at("0"), node.shape, one.plain, one.places)
+            return replace(one, shape=node.shape)
+        if node.op == "broadcast" and math.prod(one.shape) == 1:
+            spread = replace(one, at=lambda i: one.at("0"), shape=node.shape)
             return self._settled(spread, uses)
         if node.op in _ELEMENTWISE:
             return self._settled(_elementwise(node, operands), uses)
@@ -321,23 +459,21 @@ class Statements:
             return self._matmul(node, [self._placed(o) for o in operands])
         if node.op in _REDUCED:
             return self._reduced(node, self._placed(operands[0]))
-        if node.op == "concat":
-            return self._concat(node, operands)
         if node.op == "pad":
             target = self.region(node.shape)
             self.copy(target.at, operands[1].at, math.prod(node.shape))
-            source = self._placed(operands[0])
-            self._assign(target.at, source.at, inside_places(node, source.shape), put=True)
+            source = self._placed(one)
+            places = inside_places(node, source.shape).reshape(source.shape)
+            self._visit(places, lambda k, place: f"{target.at(place)} = {source.at(k)};")
             return target
-        source = self._placed(operands[0])
-        at, places = source.at, source_places(node, source.shape)
-        if len(places) and (places == places[0] + np.arange(len(places))).all():
+        source = self._placed(one)
+        at, places = source.at, source_places(node, source.shape).reshape(node.shape)
+        if grid(places) in ([], [(places.size, 1)]):
             # A contiguous part is read in place.
-            start = int(places[0])
-            moved = at if start == 0 else lambda i: at(f"{start} + {i}")
-            return Value(moved, node.shape, True, source.places)
+            start = int(places.reshape(-1)[0])
+            return replace(source, at=lambda i: at(plus(start, i)), shape=node.shape)
         target = self.region(node.shape)
-        self._assign(target.at, at, places, put=False)
+        self._visit(places, lambda k, place: f"{target.at(k)} = {at(place)};")
         return target
 
     def _settled(self, value: Value, uses: int) -> Value:
@@ -346,128 +482,133 @@ class Statements:
         return value if short else self._placed(value)
 
     def _placed(self, value: Value) -> Value:
+        if not value.plain and math.prod(value.shape) == 1:
+            return self._variable(value, self._new_name())
         return value if value.plain else self._kept(value)
 
+    def _variable(self, value: Value, name: str, *, constant: bool = True) -> Value:
+        """Copy a number to a variable."""
+        self.line(f"{'const ' * constant}asia_real {name} = {value.at('0')};")
+        return variable(name, value.shape)
+
+    def _new_name(self) -> str:
+        self._variables += 1
+        return f"v{self._variables}"
+
     def own(self, value: Value) -> Value:
-        """Store a value in `w`, in a region that nothing else writes."""
-        return value if value.plain and value.places else self._kept(value)
+        """Store a value that the function would overwrite."""
+        return self._kept(value) if value.overwritten else value
 
     def copy(self, target: Element, source: Element, count: int) -> None:
         """Copy `count` numbers."""
-        if count == 1:
-            self.line(f"{target('0')} = {source('0')};")
-        elif count > 1:
-            i = self.counter(0)
-            self.line(f"for ({i} = 0; {i} < {count}; ++{i}) {target(i)} = {source(i)};")
+        self._repeat([count], lambda i: f"{target(i[0])} = {source(i[0])};")
 
-    def counter(self, depth: int) -> str:
-        """Name of a loop variable."""
-        name = f"i{depth}"
-        self.loops = max(self.loops, depth + 1)
-        return name
+    def _repeat(self, sizes: Sequence[int], statement: Callable[[list[str]], str]) -> None:
+        """Print nested loops of these sizes around a statement, from their counters."""
+        counters, loops = list[str](), list[str]()
+        for n in sizes:
+            i = "0" if n == 1 else f"i{len(loops)}"
+            loops += [f"for ({i} = 0; {i} < {n}; ++{i})"] * (n != 1)
+            counters.append(i)
+        if 0 not in sizes:
+            self.loops = max(self.loops, len(loops))
+            self.line(" ".join([*loops, statement(counters)]))
+
+    def _visit(self, places: Places, statement: Callable[[str, str], str]) -> None:
+        """Print a statement for each of these indices, from its number and the index."""
+        axes = grid(places)
+        if axes is None:
+            name = self.constants.places(places.reshape(-1))
+            self._repeat([places.size], lambda i: statement(i[0], f"{name}[{i[0]}]"))
+        elif places.size:
+            first, sizes = int(places.reshape(-1)[0]), tuple(n for n, _ in axes)
+            steps, own = [step for _, step in axes], strides(sizes)
+            self._repeat(sizes, lambda i: statement(index(0, i, own), index(first, i, steps)))
 
     def _matmul(self, node: Node, operands: list[Value]) -> Value:
         left, right = operands
         *stack, rows, columns = node.shape
-        inner, target = left.shape[-1], self.region(node.shape)
-        i, j, k = (self.counter(d) for d in range(3))
-        b = self.counter(3) if stack else ""
-        wide = "" if not stack else f"{b} * {rows} + "
-        if stack:
-            self.line(f"for ({b} = 0; {b} < {stack[0]}; ++{b})")
-        cell = f"({wide}{i}) * {columns} + {j}"
-        self.line(f"for ({i} = 0; {i} < {rows}; ++{i}) {{")
-        source = f"({b} * {inner} + {k}) * {columns} + {j}" if stack else f"{k} * {columns} + {j}"
-        self._indent += 1
-        self.line(f"for ({j} = 0; {j} < {columns}; ++{j}) {target.at(cell)} = R(0.0);")
-        self.line(f"for ({k} = 0; {k} < {inner}; ++{k})")
-        self._indent += 1
-        product = f"{left.at(f'({wide}{i}) * {inner} + {k}')} * {right.at(source)}"
-        self.line(f"for ({j} = 0; {j} < {columns}; ++{j}) {target.at(cell)} += {product};")
-        self._indent -= 2
-        self.line("}")
+        target = self.region(node.shape)
+        self.copy(target.at, lambda i: "R(0.0)", math.prod(node.shape))
+
+        def sum_up(counters: list[str]) -> str:
+            *b, i, k, j = counters
+            cell, one, two = (
+                value.at(index(0, each, strides(value.shape)))
+                for value, each in ((target, [*b, i, j]), (left, [*b, i, k]), (right, [*b, k, j]))
+            )
+            return f"{cell} += {one} * {two};"
+
+        self._repeat((*stack, rows, left.shape[-1], columns), sum_up)
         return target
 
     def _reduced(self, node: Node, source: Value) -> Value:
         how, start = _REDUCED[node.op]
-        target = self.region(node.shape)
+        target, kept = self.region(node.shape), kept_axes(source.shape, node.attrs)
         self.copy(target.at, lambda i: start, math.prod(node.shape))
-        steps = strides(source.shape)
-        out = dict(zip(kept_axes(source.shape, node.attrs), strides(node.shape), strict=True))
-        order = sorted(range(len(source.shape)), key=lambda a: (a in node.attrs, a))
-        names = [self.counter(d) for d in range(len(order))]
-        for i, axis in zip(names, order, strict=True):
-            self.line(f"for ({i} = 0; {i} < {source.shape[axis]}; ++{i})")
-            self._indent += 1
-        read = " + ".join(f"{names[d]} * {steps[a]}" for d, a in enumerate(order)) or "0"
-        put = " + ".join(f"{names[d]} * {out[a]}" for d, a in enumerate(order) if a in out) or "0"
-        cell = target.at(put)
-        if how.startswith("asia"):
-            self.line(f"{cell} = {how}({cell}, {source.at(read)});")
-        else:
-            self.line(f"{cell} {how} {source.at(read)};")
-        self._indent -= len(order)
+        order, steps = [*kept, *node.attrs], strides(source.shape)
+
+        def take(counters: list[str]) -> str:
+            cell = target.at(index(0, counters[: len(kept)], strides(node.shape)))
+            read = source.at(index(0, counters, [steps[a] for a in order]))
+            return f"{cell} = {how}({cell}, {read});" if "asia" in how else f"{cell} {how} {read};"
+
+        self._repeat([source.shape[a] for a in order], take)
         return target
 
-    def _concat(self, node: Node, operands: list[Value]) -> Value:
-        target, axis = self.region(node.shape), node.attrs[0]
+    def _concat(self, node: Node, operands: list[Value], target: Value) -> None:
+        axis = node.attrs[0]
         outer, wide = math.prod(node.shape[:axis]), math.prod(node.shape[axis:])
         start = 0
         for value in operands:
             # Rows of `size` numbers go, from `start` on, into rows of `wide` ones.
             size = math.prod(value.shape[axis:])
-            if outer == 1:
-                self.copy(
-                    _through(target.at, lambda i, start=start: f"{start} + {i}"), value.at, size
-                )
-            elif outer * size:
-                i, j = self.counter(0), self.counter(1)
-                put = target.at(f"{i} * {wide} + {start} + {j}")
-                read = value.at(f"({i} * {size} + {j})")
-                inner = f"for ({j} = 0; {j} < {size}; ++{j})"
-                self.line(f"for ({i} = 0; {i} < {outer}; ++{i}) {inner} {put} = {read};")
+            put, read = partial(index, start, steps=(wide, 1)), partial(index, 0, steps=(size, 1))
+            self._repeat(
+                [outer, size],
+                lambda i, value=value, put=put, read=read: (
+                    f"{target.at(put(counters=i))} = {value.at(read(counters=i))};"
+                ),
+            )
             start += size
-        return target
 
-    def _assign(self, target: Element, source: Element, places: Places, *, put: bool) -> None:
-        """Print target[places] = source, or target = source[places]."""
-        segments = runs(places)
-        i = self.counter(0)
-        if len(segments) > _MOST_RUNS and len(places) > 2 * _MOST_RUNS:
-            name = self.constants.places(places)
-            there = (f"{name}[{i}]", i) if put else (i, f"{name}[{i}]")
-            loop = f"for ({i} = 0; {i} < {len(places)}; ++{i})"
-            self.line(f"{loop} {target(there[0])} = {source(there[1])};")
-            return
-        done = 0
-        for start, step, count in segments:
+    def _call(self, node: Node, operands: list[Value]) -> list[Value]:
+        assert node.body is not None
+        name = self.functions.name_of(node)
+        given = [self._placed(o) for o in operands]
+        # A number that fills an array takes one place only.
+        given = [
+            self._kept(o) if math.prod(o.shape) > 1 and o.at("0") == o.at("1") else o for o in given
+        ]
+        found = [self.region(shape) for shape in node.body.output_shapes]
+        arguments = [
+            *(o.at("0") if math.prod(o.shape) == 1 else address(o) for o in given),
+            *(address(o) for o in found if math.prod(o.shape)),
+        ]
+        self.line(f"{name}({', '.join(arguments)});")
+        return found
 
-            def moving(j: str, start: int = start, step: int = step) -> str:
-                return f"{start} + {j} * {step}" if step != 1 else f"{start} + {j}"
-
-            def counting(j: str, done: int = done) -> str:
-                return f"{done} + {j}"
-
-            here, there = (moving, counting) if put else (counting, moving)
-            self.copy(_through(target, here), _through(source, there), count)
-            done += count
-
-    def _loop(self, node: Node, operands: list[Value]) -> list[Value]:
+    def _loop(self, node: Node, operands: list[Value], parts: set[int]) -> list[Value]:
+        """Print a loop; of its stacked results only those among the `parts` are kept."""
         assert node.body is not None
         length, same, carried = node.attrs
         body = node.body
         carry = [self._kept(o) for o in operands[same : same + carried]]
-        stacked = [self.region((length, *s)) for s in body.output_shapes[carried:]]
+        stacked = [
+            self.region((length, *s) if k in parts else (0,))
+            for k, s in enumerate(body.output_shapes[carried:], carried)
+        ]
         rows = [self._placed(o) for o in operands[same + carried :]]
         fixed = [self._placed(o) for o in operands[:same]]
         self._deepest += 1
         index = f"t{self._deepest}"
         self.line(f"{{ int {index}; for ({index} = 0; {index} < {length}; ++{index}) {{")
         self._indent += 1
-        read = [Value(_row(r, index), r.shape[1:], places=r.places) for r in rows]
+        read = [replace(r, at=_row(r, index), shape=r.shape[1:]) for r in rows]
         found = self.run(body, [*fixed, *carry, *read])
         for place, value in zip(stacked, found[carried:], strict=True):
-            self.copy(_row(place, index), value.at, math.prod(value.shape))
+            if math.prod(place.shape):
+                self.copy(_row(place, index), value.at, math.prod(value.shape))
         after = [self._kept(value) for value in found[:carried]]
         for place, value in zip(carry, after, strict=True):
             self.copy(place.at, value.at, math.prod(value.shape))
@@ -478,19 +619,32 @@ class Statements:
 
     def _kept(self, value: Value) -> Value:
         """Copy a value to a region of its own, so that carried values may be overwritten."""
+        if math.prod(value.shape) == 1:
+            return self._variable(value, self._new_name(), constant=False)
         target = self.region(value.shape)
         self.copy(target.at, value.at, math.prod(value.shape))
         return target
 
 
 def value_at(name: str, start: int, shape: Shape, places: frozenset[int] = frozenset()) -> Value:
-    prefix = f"{start} + " if start else ""
-    return Value(lambda i: f"{name}[{prefix}{i}]", shape, places=places)
+    return Value(lambda i: f"{name}[{plus(start, i)}]", shape, places=places)
+
+
+def variable(name: str, shape: Shape) -> Value:
+    """Value of a variable for one number."""
+    return Value(lambda i: name, shape)
+
+
+def address(value: Value) -> str:
+    """Pointer to a value in memory."""
+    first = value.at("0")
+    return first.removesuffix("[0]") if first.endswith("[0]") else f"&{first}"
 
 
 def _row(value: Value, index: str) -> Element:
     size = math.prod(value.shape[1:])
-    return lambda i: value.at(f"{index} * {size} + {i}")
+    row = f"{index} * {size}" if size != 1 else index
+    return lambda i: value.at(row if i == "0" else f"{row} + {i}")
 
 
 def _through(element: Element, place: Callable[[str], str]) -> Element:
@@ -511,7 +665,7 @@ def _elementwise(node: Node, operands: list[Value]) -> Value:
         return f"{_OWN[node.op]}({', '.join(read)})"
 
     places = frozenset[int]().union(*(o.places for o in operands))
-    return Value(at, node.shape, False, places)
+    return Value(at, node.shape, False, places, any(o.overwritten for o in operands))
 
 
 # C99 without allocation: one file of functions, a header, and a program that runs a CSV file.
@@ -582,8 +736,11 @@ def c_source(model: ExportModel) -> tuple[str, int]:
     """Print `model.c`; return it with the most numbers that one of its functions keeps on the
     stack."""
     low, constants = model.lowered, Constants()
+    functions = Functions(constants)
     parts = zip(slices(low.states), low.states, strict=True)
-    states = [value_at("x->x", part.start, shape) for part, shape in parts]
+    states = [
+        replace(value_at("x->x", part.start, shape), overwritten=True) for part, shape in parts
+    ]
     u, y = value_at("u", 0, (low.nu,)), value_at("y", 0, (low.ny,))
     window = [
         value_at("past_u", 0, (low.n_past_u, low.nu)),
@@ -594,14 +751,13 @@ def c_source(model: ExportModel) -> tuple[str, int]:
         (low.initial, window, states), (low.output, [*states, u], [y]),
         (low.update, [*states, u], states), (low.step, [*states, u], [y, *states]),
     )  # fmt: skip
-    functions = [
-        c_function(head, *part, constants)
-        for head, part in zip(_STEP_FUNCTIONS, parts, strict=True)
+    steps = [
+        functions.function(head, *part) for head, part in zip(_STEP_FUNCTIONS, parts, strict=True)
     ]
-    body = "\n".join(text for text, _ in functions)
+    body = "\n".join([*functions.texts, *steps])
     title = re.sub(r"[^A-Za-z0-9 _.,:-]", "_", f"{model.problem}: {model.use} of run {model.name}")
     top = [f"/* {title}. */", '#include "model.h"', *preamble(body, constants)]
-    return "\n".join([*top, body]), max(size for _, size in functions)
+    return "\n".join([*top, body]), functions.work
 
 
 def preamble(body: str, constants: Constants) -> list[str]:
@@ -667,26 +823,6 @@ def run_compiled(
             seconds += time.perf_counter() - begin
             found.append(arrays[-1].astype(np.float64))
         return found, seconds
-
-
-def c_function(
-    head: str, program: Program, inputs: list[Value], outputs: list[Value], constants: Constants
-) -> tuple[str, int]:
-    code = Statements(constants)
-    found = code.run(program, inputs)
-    # Outputs may overwrite inputs: values outside `w` are copied there first.
-    kept = [code.own(value) for value in found]
-    for target, value in zip(outputs, kept, strict=True):
-        code.copy(target.at, value.at, math.prod(value.shape))
-    lines = [head, "{"]
-    if code.memory.size:
-        lines.append(f"    asia_real w[{code.memory.size}];")
-    if code.loops:
-        lines.append(f"    int {', '.join(f'i{d}' for d in range(code.loops))};")
-    text = "\n".join(code.lines)
-    unused = [n for n in re.findall(r"\*(\w+)[,)]", head) if not re.search(rf"\b{n}\b", text)]
-    lines += [text, *(f"    (void){n};" for n in unused), "}", ""]
-    return "\n".join(lines), code.memory.size
 
 
 def _simulated(

@@ -116,9 +116,10 @@ def _symbols(program: Program) -> Any:
 
 def _numbers(program: Program) -> int:
     """How many numbers a program computes."""
+    nodes = program.plain.nodes
     return sum(
         math.prod(node.shape) if node.body is None else node.attrs[0] * _numbers(node.body)
-        for node in program.nodes
+        for node in nodes
         if node.op != "part"
     )
 

@@ -32,6 +32,7 @@ def values_of(
         value: represents the result of a node, from the values and shapes of its operands.
         loop: the same for all results of a loop.
     """
+    program = program.plain
     shapes, values = program.shapes, [*inputs, *map(constant, program.constants)]
     for node in program.nodes:
         read = [values[i] for i in node.operands]

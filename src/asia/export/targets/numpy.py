@@ -143,7 +143,7 @@ def _function(
     head: str, program: Program, inputs: Sequence[str], constants: _Constants, first: list[str]
 ) -> str:
     body = _Body(constants)
-    results = body.write(program, list(inputs), "    ")
+    results = body.write(program.plain, list(inputs), "    ")
     name = head.partition("(")[0]
     if name == "output":
         end = f"    return {results[0]}"

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.models._arrays import AnyArray, namespace
+from asia.models._arrays import AnyArray, folded, function, namespace, scan
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import (
     Confinement,
@@ -50,11 +51,26 @@ def simulate_cases(
     past_y (B, n_past_y, ny), u (B, H, nu) -> outputs (B, H, ny)."""
     past_u, past_y, u = cases
     scales, z = scales.for_rows(), z[:, None]
+
+    before = start_inputs(structure, past_u, u[:, 0])
+
+    def simulated(x0: Array) -> Array:
+        return simulate(structure, scales, z, x0, before)[0]
+
     with np.errstate(all="ignore"):
-        x0, before = case_start(structure, scales, prior, z, past_u, past_y, u[:, 0])
+        x0 = case_start(structure, scales, prior, simulated, past_u, past_y)
         inputs = np.concatenate([before, u.transpose(1, 2, 0)])
         y, _ = simulate(structure, scales, z, x0[:, None], inputs)
     return y[structure.n_fit :, :, 0].transpose(2, 0, 1)
+
+
+class _Parts(NamedTuple):
+    """Parts of a step; all but the first are functions of their own in printed code."""
+
+    confine: Confinement
+    update: Step
+    output: Step
+    transport: Callable[..., Any]  # As `advance_buffer`, of line, x and u
 
 
 @dataclass(frozen=True)
@@ -88,26 +104,70 @@ class CaseSteps:
         return cls(structure, scales, prior, z, effects(structure, scales, z), late)
 
     @cached_property
-    def _moves(self) -> tuple[Confinement, Step]:
-        return sample_by_sample(self.structure, self.scales, self.effect)
+    def _parts(self) -> _Parts:
+        structure, effect, xp = self.structure, self.effect, namespace(self.effect.parameters)
+        confine, advance = sample_by_sample(structure, self.scales, effect)
+
+        def observe(x: AnyArray, u: AnyArray) -> AnyArray:
+            return outputs(structure, effect, x[None], u[None])[0]
+
+        def transport(line: AnyArray, x: AnyArray, u: AnyArray) -> Any:
+            return advance_buffer(structure, effect.parameters, line, x, u)
+
+        if structure.equations.delays:
+            transport = function(xp, "transport past states inputs", transport)
+        update = function(xp, "update states inputs", advance)
+        return _Parts(confine, update, function(xp, "output states inputs", observe), transport)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """States (B, nx), the inputs (B, held, nu) that still act, and the buffer (B, L, n) of the
         delays in the equations: at the first sample, with inputs that move between samples at the
         one before."""
-        x, inputs = case_start(self.structure, self.scales, self.prior, self.z, past_u, past_y, u)
-        inputs = inputs.transpose(0, 2, 1)
-        first, memory = inputs[0] if len(inputs) else u, self.structure.between.memory
-        confine, _ = self._moves
-        held = int(np.ceil(self.late).max(initial=0)) + memory
-        line = namespace(u).repeat(first[:, None], held, axis=1)
-        now = confine(x[:, None])
+        _ = self._parts  # Made here, as the function below is traced on its own.
+        inputs = start_inputs(self.structure, past_u, u)
+
+        def start(past_u: AnyArray, past_y: AnyArray, inputs: AnyArray) -> AnyArray:
+            simulated = partial(self._simulated, inputs=inputs)
+            return case_start(self.structure, self.scales, self.prior, simulated, past_u, past_y)
+
+        estimate = function(namespace(u), "estimate past_u past_y inputs", start)
+        x = estimate(past_u, past_y, inputs)
+        state = self._begin(x, inputs[0] if len(inputs) else u.T)
+        known = inputs.swapaxes(1, 2)[1 if self.structure.between.memory else 0 :]
+        return folded(lambda state, row: self.step(state, row)[0], state, known)
+
+    def _simulated(self, x0: AnyArray, inputs: AnyArray) -> AnyArray:
+        """Outputs (T, ny, K, B) from states x0 (nx, K, B), with inputs (T, nu, B)."""
+        if namespace(x0) is np:
+            return simulate(self.structure, self.scales, self.z, x0, inputs)[0]
+        import jax
+
+        one = function(namespace(x0), "past_outputs states past_u", self._past_outputs)
+        return jax.lax.map(lambda x: one(x, inputs), x0.swapaxes(0, 1)).transpose(1, 3, 0, 2)
+
+    def _begin(self, x: AnyArray, first: AnyArray) -> Any:
+        """State before an input (nu, B) that has always been held, with states x (nx, B)."""
+        xp, now = namespace(x, first), self._parts.confine(x[:, None])
         with np.errstate(all="ignore"):
-            buffer = empty_buffer(self.structure, self.effect.parameters, now, first.T[:, None])
-        state = now[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)
-        for past in inputs[1:] if memory else inputs:
-            state, _ = self.step(state, past)
-        return state
+            buffer = empty_buffer(self.structure, self.effect.parameters, now, first[:, None])
+        held = int(np.ceil(self.late).max(initial=0)) + self.structure.between.memory
+        line = xp.repeat(first.T[:, None], held, axis=1)
+        return now[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)
+
+    def _past_outputs(self, x: AnyArray, inputs: AnyArray) -> AnyArray:
+        """Outputs (T, B, ny) with inputs (T, nu, B) and states x (nx, B) at the first of them."""
+        state, rows = self._begin(x, inputs[0]), inputs.swapaxes(1, 2)
+        if not self.structure.between.memory:
+            return scan(self.step, state, rows)[1]
+        first = self._observe(state[0].T[:, None], inputs[0][:, None])
+        if len(rows) == 1:
+            return first[None]
+        later = scan(self.step, state, rows[1:])[1]
+        return namespace(later).concatenate([first[None], later])
+
+    def _observe(self, now: AnyArray, acting: AnyArray) -> AnyArray:
+        """Outputs (B, ny) at states (nx, 1, B) with inputs (nu + m, 1, B)."""
+        return self._parts.output(now, acting)[:, 0].T
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
         """Advance by one sample. With held inputs the output is read before the states move; with
@@ -120,18 +180,13 @@ class CaseSteps:
         window = namespace(u).stack([self._acting(known, k).T for k in range(memory, -1, -1)])
         now, window = x.T[:, None], window[:, :, None]
         with np.errstate(all="ignore"):
-            buffer, acting = advance_buffer(
-                self.structure,
-                self.effect.parameters,
-                buffer.transpose(1, 2, 0)[:, :, None],
-                now,
-                window[-1],
-            )
+            past = buffer.transpose(1, 2, 0)[:, :, None]
+            buffer, acting = self._parts.transport(past, now, window[-1])
             # Equations with delays have held inputs.
-            after = self._moves[1](now, window if memory else acting[None])
+            after = self._parts.update(now, window if memory else acting[None])
             here = after if memory else now
-            y = outputs(self.structure, self.effect, here[None], acting[None])
-        return (after[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)), y[0, :, 0].T
+            y = self._observe(here, acting)
+        return (after[:, 0].T, line, buffer[:, :, 0].transpose(2, 0, 1)), y
 
     def _acting(self, known: AnyArray, before: int) -> AnyArray:
         """Inputs (B, nu) that act so many samples before the last of `known` (B, L, nu)."""
@@ -146,28 +201,31 @@ class CaseSteps:
         return (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
 
 
+def start_inputs(structure: GreyBoxStructure, past_u: AnyArray, u: AnyArray) -> AnyArray:
+    """Inputs (n_fit, nu, B) from `n_fit` samples before the first simulated one on. Its input u (B,
+    nu) is held back where the past window past_u (B, n_past_u, nu) has too few."""
+    xp, before = namespace(past_u, u), past_u[:, -1:] if structure.states_measured else past_u
+    held_back = xp.repeat(u[:, None], structure.n_fit - before.shape[1], axis=1)
+    return xp.concatenate([held_back, before], axis=1).transpose(1, 2, 0)
+
+
 def case_start(
     structure: GreyBoxStructure,
     scales: Scales,
     prior: WindowPrior,
-    z: AnyArray,
+    simulated: Callable[[AnyArray], AnyArray],
     past_u: AnyArray,
     past_y: AnyArray,
-    u: AnyArray,
-) -> tuple[AnyArray, AnyArray]:
-    """Initial states (nx, B) of cases, `n_fit` samples before the first simulated one, and the
-    inputs (n_fit, nu, B) from there on.
+) -> AnyArray:
+    """States (nx, B) of cases, `n_fit` samples before the first simulated one, from their past
+    windows, past_u (B, n_past_u, nu) and past_y (B, n_past_y, ny).
 
-    The coordinates are z (size, 1). The first simulated input u (B, nu) is held back where the past
-    window, past_u (B, n_past_u, nu) and past_y (B, n_past_y, ny), has too few inputs.
+    `simulated` gives outputs (n_fit, ny, K, B) from states (nx, K, B), with `start_inputs`.
     """
-    xp, n_fit = namespace(past_u, past_y, u), structure.n_fit
-    before = past_u[:, -1:] if structure.states_measured else past_u
-    held_back = xp.repeat(u[:, None], n_fit - before.shape[1], axis=1)
-    inputs = xp.concatenate([held_back, before], axis=1).transpose(1, 2, 0)
+    xp, n_fit = namespace(past_u, past_y), structure.n_fit
     if structure.states_measured:
         order = np.array([structure.measured_states[i] for i in range(structure.nx)])
-        return past_y[:, -1][:, order].T, inputs
+        return past_y[:, -1][:, order].T
     # The most probable state given the outputs from there on, weighted by the model's simulation
     # error, and the prior from training, which uses the whole past window.
     count = len(past_y)
@@ -178,7 +236,7 @@ def case_start(
     )
     expected = np.asarray(prior.mean) @ xp.concatenate(features, axis=1).T
     if not structure.n_past_y:
-        return expected, inputs
+        return expected
     nx = structure.nx
     recent = past_y[:, max(structure.n_past_y - n_fit, 0) :].transpose(1, 2, 0)[:, :, None]
     deviation = np.asarray(prior.x_deviation)
@@ -188,7 +246,7 @@ def case_start(
     def errors(shift: AnyArray) -> AnyArray:
         """Errors (B, K, E) at shifts (B, K, nx) of the expected state, in deviations."""
         x0 = expected[:, None] + deviation[:, None, None] * shift.transpose(2, 1, 0)
-        y, _ = simulate(structure, scales, z, x0, inputs)
+        y = simulated(x0)
         found = (y[n_fit - len(recent) :] - recent) / prior.y_deviation[:, None, None]
         return found.reshape(-1, *found.shape[2:]).transpose(2, 1, 0)
 
@@ -216,4 +274,4 @@ def case_start(
     step = solve(last.gram, last.gradient)
     small = abs(step).max(axis=1, keepdims=True) < _SETTLED
     shift = xp.where(small, shift - step, shift)
-    return expected + deviation[:, None] * shift.T, inputs
+    return expected + deviation[:, None] * shift.T

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias, cast
 
 import numpy as np
 
-from asia.models._arrays import AnyArray, namespace, rows, sigmoid, softplus
+from asia.models._arrays import AnyArray, labelled, namespace, rows, sigmoid, softplus
 from asia.problem.memory import LEAST_TIME, TransportDelay, expanded
 from asia.problem.physics import (
     Binary,
@@ -180,16 +180,27 @@ def _evaluator(system: Equations, requested: _Request, xp: Any, dtype: np.dtype[
     for i, (name, _) in enumerate(system.constants):
         source.places[name] = f"c_{i}"
     signals = (*system.inputs, *(one.name for one in system.delays))
+    labels: list[str] = []
+
+    def named(name: str, value: str) -> str:
+        if xp is np:
+            return source.line(value)
+        labels.append(name)
+        return source.line(f"label({value}, {len(labels) - 1})")
+
     for group, names in (("p", system.parameters), ("u", signals), ("x", system.states)):
         for i, name in enumerate(names):
             if name in needed:
-                source.places[name] = source.line(f"{group}[{i}]")
+                source.places[name] = named(name, f"{group}[{i}]")
     for name, expression in system.definitions:
         if name in needed:
-            source.places[name] = source.of(expression.root)
+            source.places[name] = named(name, source.of(expression.root))
     results = "".join(f"{source.of(e.root)}, " for e in expressions)
     lines = ["def evaluate(p, x, u):", *source.lines, f"return rows(({results}), x)"]
     code = compile("\n    ".join(lines), "<equations>", "exec")
+
+    def label(value: AnyArray, place: int) -> AnyArray:
+        return labelled(value, labels[place])
 
     def compiled(
         table: Mapping[str, Callable[..., Any]],
@@ -197,7 +208,8 @@ def _evaluator(system: Equations, requested: _Request, xp: Any, dtype: np.dtype[
         stacked: Callable[[Any, Any], Any],
     ) -> Evaluator:
         constants = {f"c_{i}": number(value) for i, (_, value) in enumerate(system.constants)}
-        scope = {"rows": stacked, **{f"f_{k}": f for k, f in table.items()}, **constants}
+        own = {f"f_{k}": f for k, f in table.items()}
+        scope = {"rows": stacked, "label": label, **own, **constants}
         exec(code, scope)
         return cast(Evaluator, scope["evaluate"])
 

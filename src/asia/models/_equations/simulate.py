@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from asia.models._arrays import AnyArray, folded, namespace, repeated, rows, scan
+from asia.models._arrays import AnyArray, folded, function, namespace, repeated, rows, scan
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import Derivative, runge_kutta
 from asia.models._equations.transport import (
@@ -231,8 +231,9 @@ def outputs(
 def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> Derivative:
     config, xp = structure.config, namespace(effect.parameters)
     rates, parameters = structure.equations.rates(xp), effect.parameters[..., None]
+    own_rates = function(xp, "derivative parameters states inputs", rates)
     if not (config.linear or config.offset or config.residual):
-        return lambda x, u: rates(parameters, x, u)
+        return lambda x, u: own_rates(parameters, x, u)
     wide = Scales(*(a[..., None] for a in scales))
     offset, bias = effect.rate_offset[..., None], effect.hidden[:, -1, :, None]
     own, lags = structure.nx_own, structure.nx - structure.nx_own
@@ -251,7 +252,7 @@ def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) ->
         extra = wide.rate[:own] * extra
         if lags:
             extra = xp.concatenate([extra, xp.zeros((lags, *extra.shape[1:]), extra.dtype)])
-        return rates(parameters, x, u) + extra
+        return own_rates(parameters, x, u) + extra
 
     return derivative
 
