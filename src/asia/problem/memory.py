@@ -150,33 +150,32 @@ class _Expansion:
             case Negative(operand):
                 return Negative(self._of(operand, ahead, entering))
             case Binary(symbol, left, right):
-                parts = (self._of(part, ahead, entering) for part in (left, right))
-                return Binary(symbol, *parts)
+                left, right = (self._of(part, ahead, entering) for part in (left, right))
+                return Binary(symbol, left, right)
             case Call("lag", (x, time)):
                 return self._lag(x, time, entering)
             case Call("delay", (x, time)):
-                parts = self._entering(x, Number(1.0), time)
-                return self._delay(TransportDelay("", *parts), ahead)
+                value, time = self._entering(x), self._entering(time)
+                return self._delay(TransportDelay("", value, Number(1.0), time), ahead)
             case Call("plug_flow" | "plug_mean" as kind, (x, flow, volume, *spread)):
-                parts = self._entering(x, flow, volume)
-                (dispersion,) = self._entering(*spread) or (NOTHING,)
-                mean = kind == "plug_mean"
-                return self._delay(
-                    TransportDelay("", *parts, mean=mean, dispersion=dispersion), ahead
-                )
+                value, flow, volume = map(self._entering, (x, flow, volume))
+                dispersion = self._entering(spread[0]) if spread else NOTHING
+                found = TransportDelay("", value, flow, volume, dispersion=dispersion)
+                return self._delay(replace(found, mean=kind == "plug_mean"), ahead)
             case Call(function, arguments):
                 return Call(function, tuple(self._of(a, ahead, entering) for a in arguments))
 
-    def _entering(self, *parts: Node) -> list[Node]:
-        return [self._of(part, False, True) for part in parts]
+    def _entering(self, part: Node) -> Node:
+        return self._of(part, False, True)
 
     def _lag(self, x: Node, time: Node, entering: bool) -> Node:
         """Hidden state that follows x with a time constant; what enters a delay and depends on
         inputs alone is known without a state."""
         if entering:
-            signal, pace = self._entering(x, time)
-            if not self._reads((signal, pace), self._dynamic):
-                return self._delay(TransportDelay("", signal, Number(1.0), pace, mixed=True), False)
+            value, span = self._entering(x), self._entering(time)
+            if not self._reads((value, span), self._dynamic):
+                found = TransportDelay("", value, Number(1.0), span, mixed=True)
+                return self._delay(found, False)
         x, time = self._of(x, True), self._of(time, True)
         key = "lag", x, time
         if key not in self._known:
@@ -193,7 +192,7 @@ class _Expansion:
         return frozenset[str]().union(*map(self._closure, nodes)) & names
 
     def _delay(self, one: TransportDelay, ahead: bool) -> Node:
-        if self._closure(one.value) <= self._constant:
+        if self._closure(one.value) <= self._constant | self._plain.keys():
             return one.value
         dynamic = bool(self._reads(one.parts, self._dynamic))
         if moving := self._reads(one.parts[1:], self._moving):

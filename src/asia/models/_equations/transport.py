@@ -82,9 +82,8 @@ def varying_flow(
         place = edges[1:] - depth
         index = parcel(place)
         kept = np.maximum(index, np.maximum(now + 1 - length, 0))
-        return content[kept, columns] + deviation[kept, columns] * (
-            place - edges[kept, columns]
-        ), index
+        beyond = place - edges[kept, columns]
+        return content[kept, columns] + deviation[kept, columns] * beyond, index
 
     delayed, above = first.repeat(samples, axis=0), amount(near)[0]
     for far, weight in ends:
@@ -109,11 +108,12 @@ def _bounds(
         spread = xp.sqrt(square)
         return near, [(near + width * (1.0 + k * spread), w / width) for k, w in nodes]
     width = xp.maximum(entering, _LEAST * volume) + _TINY
-    near = xp.maximum(volume - 0.5 * width, 0.0) if one.ahead else volume
+    near = volume - 0.5 * width * one.ahead
     if one.dispersion != NOTHING:
         # A rectangle with the variance of both.
         wide = xp.sqrt(width**2 + 12.0 * square * volume**2)
         near, width = near - 0.5 * (wide - width), wide
+    near = xp.maximum(near, 0.0)
     return near, [(near + width, 1.0 / width)]
 
 
