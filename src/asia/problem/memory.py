@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from asia.errors import UserError
 from asia.problem.physics import (
@@ -24,14 +24,14 @@ LEAST_TIME = "least time constant"
 """Constant below which a time constant acts as if it were equal to it: 0 until a model knows what
 its integrator can follow."""
 
-# Cells in series that mix what leaves a plug flow.
-_CELLS = 3
+NOTHING = Number(0.0)
 
 
 @dataclass(frozen=True)
 class TransportDelay:
     """Signal behind a volume that it flows through unmixed: the parcel that leaves now entered when
-    the flow since then was still equal to the volume. A delay has a flow of 1."""
+    the flow since then was still equal to the volume. A delay has a flow of 1. So has a lag, whose
+    volume is mixed."""
 
     name: str  # Name of the delayed signal in the other expressions
     value: Node  # Signal that enters
@@ -40,19 +40,29 @@ class TransportDelay:
     ahead: bool = False
     """The signal is read at the middle of a step, not at its start."""
     mean: bool = False  # Mean over the volume instead of what leaves it
+    mixed: bool = False  # The volume is mixed, and the signal is its mean over a step
+    dispersion: Node = NOTHING
+    """Half the variance of the volume that parcels flow through, relative to the volume."""
 
     @property
     def uniform(self) -> bool:
-        """Each sample enters the same volume."""
-        return isinstance(self.flow, Number) and not self.mean
+        """Each sample enters the same volume, and leaves it as it was."""
+        plain = not (self.mean or self.mixed) and self.dispersion == NOTHING
+        return isinstance(self.flow, Number) and plain
 
     @property
     def call(self) -> Node:
         """The operator as the problem file writes it."""
-        if self.uniform:
-            return Call("delay", (self.value, self.volume))
+        if self.uniform or self.mixed:
+            return Call("lag" if self.mixed else "delay", (self.value, self.volume))
+        spread = () if self.dispersion == NOTHING else (self.dispersion,)
         function = "plug_mean" if self.mean else "plug_flow"
-        return Call(function, (self.value, self.flow, self.volume))
+        return Call(function, (self.value, self.flow, self.volume, *spread))
+
+    @property
+    def parts(self) -> tuple[Node, Node, Node, Node]:
+        """What enters, flow, volume and dispersion."""
+        return self.value, self.flow, self.volume, self.dispersion
 
 
 @dataclass(frozen=True)
@@ -99,9 +109,10 @@ class _Expansion:
             node = _parsed(physics.definitions, name, "definitions")
             has = _calls(node) or not names_in(node).isdisjoint(self._remembering)
             (self._remembering if has else self._plain)[name] = node
-        self._known: dict[tuple[object, ...], str] = {}
+        self._known: dict[object, str] = {}
         self._hidden: dict[str, tuple[Node, Node]] = {}  # derivative and value at rest
         self._delays: list[TransportDelay] = []
+        self._constant = {*physics.parameters, *physics.constants, *physics.corrections}
         # Signals that depend on any state, and on a state of the problem file.
         self._dynamic, self._moving = {*physics.states}, {*physics.states}
 
@@ -124,88 +135,81 @@ class _Expansion:
             driven=len(driven),
         )
 
-    def _of(self, node: Node, ahead: bool) -> Node:
-        """The tree without calls that have memory; `ahead` where it is part of a derivative."""
+    def _of(self, node: Node, ahead: bool, entering: bool = False) -> Node:
+        """The tree without calls that have memory.
+
+        Args:
+            ahead: whether it is part of a derivative
+            entering: whether it enters a delay
+        """
         match node:
             case Name(name) if name in self._remembering:
-                return self._of(self._remembering[name], ahead)
+                return self._of(self._remembering[name], ahead, entering)
             case Name() | Number():
                 return node
             case Negative(operand):
-                return Negative(self._of(operand, ahead))
+                return Negative(self._of(operand, ahead, entering))
             case Binary(symbol, left, right):
-                return Binary(symbol, self._of(left, ahead), self._of(right, ahead))
+                left, right = (self._of(part, ahead, entering) for part in (left, right))
+                return Binary(symbol, left, right)
             case Call("lag", (x, time)):
-                return self._lag(self._of(x, True), self._of(time, True))
+                return self._lag(x, time, entering)
             case Call("delay", (x, time)):
-                return self._delay(self._of(x, False), Number(1.0), self._of(time, False), ahead)
-            case Call("plug_flow" | "plug_mean" as kind, (x, flow, volume)):
-                entering, pace, size = (self._of(part, False) for part in (x, flow, volume))
-                return self._delay(entering, pace, size, ahead, mean=kind == "plug_mean")
-            case Call("plug_flow", (x, flow, volume, dispersion)):
-                entering, pace, size = (self._of(part, False) for part in (x, flow, volume))
-                return self._dispersed(entering, pace, size, self._of(dispersion, True))
+                value, time = self._entering(x), self._entering(time)
+                return self._delay(TransportDelay("", value, Number(1.0), time), ahead)
+            case Call("plug_flow" | "plug_mean" as kind, (x, flow, volume, *spread)):
+                value, flow, volume = map(self._entering, (x, flow, volume))
+                dispersion = self._entering(spread[0]) if spread else NOTHING
+                found = TransportDelay("", value, flow, volume, dispersion=dispersion)
+                return self._delay(replace(found, mean=kind == "plug_mean"), ahead)
             case Call(function, arguments):
-                return Call(function, tuple(self._of(a, ahead) for a in arguments))
+                return Call(function, tuple(self._of(a, ahead, entering) for a in arguments))
 
-    def _lag(self, x: Node, time: Node) -> Node:
-        return self._state("lag", x, Call("max", (time, Name(LEAST_TIME))))
+    def _entering(self, part: Node) -> Node:
+        return self._of(part, False, True)
 
-    def _state(self, kind: str, x: Node, time: Node) -> Node:
-        """Hidden state that follows x with a time constant."""
-        key = kind, x, time
+    def _lag(self, x: Node, time: Node, entering: bool) -> Node:
+        """Hidden state that follows x with a time constant; what enters a delay and depends on
+        inputs alone is known without a state."""
+        if entering:
+            value, span = self._entering(x), self._entering(time)
+            if not self._reads((value, span), self._dynamic):
+                found = TransportDelay("", value, Number(1.0), span, mixed=True)
+                return self._delay(found, False)
+        x, time = self._of(x, True), self._of(time, True)
+        key = "lag", x, time
         if key not in self._known:
-            name = f"{kind} {1 + sum(n.startswith(f'{kind} ') for n in self._hidden)}"
+            name = f"lag {1 + len(self._hidden)}"
             self._known[key] = name
-            self._hide(name, Binary("/", Binary("-", x, Name(name)), time), x)
+            through = Call("max", (time, Name(LEAST_TIME)))
+            self._dynamic.add(name)
+            if self._reads((x, time), self._moving):
+                self._moving.add(name)
+            self._hidden[name] = Binary("/", Binary("-", x, Name(name)), through), x
         return Name(self._known[key])
-
-    def _hide(self, name: str, rate: Node, rest: Node) -> None:
-        self._dynamic.add(name)
-        if self._reads((rest, rate), self._moving):
-            self._moving.add(name)
-        self._hidden[name] = rate, rest
 
     def _reads(self, nodes: Sequence[Node], names: set[str]) -> frozenset[str]:
         return frozenset[str]().union(*map(self._closure, nodes)) & names
 
-    def _delay(self, x: Node, flow: Node, volume: Node, ahead: bool, *, mean: bool = False) -> Node:
-        dynamic = bool(self._reads((x, flow, volume), self._dynamic))
-        if moving := self._reads((flow, volume), self._moving):
+    def _delay(self, one: TransportDelay, ahead: bool) -> Node:
+        if self._closure(one.value) <= self._constant | self._plain.keys():
+            return one.value
+        dynamic = bool(self._reads(one.parts, self._dynamic))
+        if moving := self._reads(one.parts[1:], self._moving):
             raise UserError(
                 "[physics]: the time of a delay, and the flow and volume of a plug flow, depend on "
                 f"inputs and parameters only, not on '{min(moving)}', which depends on a state"
             )
-        ahead = ahead and (dynamic or mean)
-        key = x, flow, volume, ahead, mean
+        key = one = replace(one, ahead=ahead and (dynamic or one.mean))
         if key not in self._known:
             name = f"delayed {len(self._delays) + 1}"
             self._known[key] = name
             if dynamic:
                 self._dynamic.add(name)
-            if self._reads((x,), self._moving):
+            if self._reads((one.value,), self._moving):
                 self._moving.add(name)
-            self._delays.append(TransportDelay(name, x, flow, volume, ahead, mean))
+            self._delays.append(replace(one, name=name))
         return Name(self._known[key])
-
-    def _dispersed(self, x: Node, flow: Node, volume: Node, dispersion: Node) -> Node:
-        """Plug flow through one part of the volume, then mixed cells through the rest: the variance
-        of the residence time is twice the dispersion, relative to the square of its mean, up to one
-        third. Source: Levenspiel, Chemical Reaction Engineering, 3rd ed., 1999, eq. 13.8."""
-        share = Call("min", (Call("sqrt", (_product(2.0 * _CELLS, dispersion),)), Number(1.0)))
-        least = Binary("*", Call("max", (flow, Number(0.0))), Name(LEAST_TIME))
-        cell = Call("max", (Binary("/", Binary("*", volume, share), Number(float(_CELLS))), least))
-        found = self._delay(x, flow, Binary("-", volume, _product(_CELLS, cell)), True)
-        for _ in range(_CELLS):
-            key = "cell", found, cell
-            if key not in self._known:
-                name = f"cell {len([k for k in self._known if k[0] == 'cell']) + 1}"
-                self._known[key] = name
-                through = Binary("/", Call("max", (flow, Number(0.0))), cell)
-                rate = Binary("*", through, Binary("-", found, Name(name)))
-                self._hide(name, rate, x)
-            found = Name(self._known[key])
-        return found
 
     def _closure(self, node: Node) -> frozenset[str]:
         """Names that a tree depends on, definitions followed."""
@@ -213,10 +217,6 @@ class _Expansion:
         for name in found & self._plain.keys():
             found |= self._closure(self._plain[name])
         return found
-
-
-def _product(factor: float, node: Node) -> Node:
-    return Binary("*", Number(float(factor)), node)
 
 
 def _parsed(texts: Mapping[str, str], name: str, section: str) -> Node:

@@ -105,7 +105,7 @@ FUNCTIONS: Mapping[str, tuple[int, int | None]] = {
 MEMORY: Mapping[str, tuple[int, int | None]] = {
     "delay": (2, 2),
     "plug_flow": (3, 4),
-    "plug_mean": (3, 3),
+    "plug_mean": (3, 4),
     "lag": (2, 2),
 }
 """Operators of equations whose value depends on past samples, with their numbers of arguments."""

@@ -250,6 +250,7 @@ class _Builder:
                         value=_inlined(system, of_node(one.value)),
                         flow=_inlined(system, of_node(one.flow)),
                         volume=_inlined(system, of_node(one.volume)),
+                        dispersion=_inlined(system, of_node(one.dispersion)),
                     )
                     for one in system.delays
                 ),

@@ -126,11 +126,12 @@ class Equations:
 
     def passage(
         self, k: int, parameters: AnyArray, x: AnyArray, u: AnyArray
-    ) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Signal that enters delay k, flow and volume, each (...)."""
+    ) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+        """Signal that enters delay k, flow, volume and dispersion, each (...)."""
         # Separate arrays, so that a constant volume stays a constant in a lowered program.
-        value, flow, volume = (self._values((k, i), parameters, x, u)[0] for i in range(3))
-        return value, flow, volume
+        found = (self._values((k, i), parameters, x, u)[0] for i in range(4))
+        value, flow, volume, dispersion = found
+        return value, flow, volume, dispersion
 
     def at_rest(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
         """Values at rest (n, ...) of the hidden states of lags."""
@@ -172,7 +173,7 @@ def _evaluator(system: Equations, requested: _Request, xp: Any, dtype: np.dtype[
     elif len(requested) == 2 and isinstance(requested[0], int):
         number, part = cast("tuple[int, int]", requested)
         one = system.delays[number]
-        expressions = (of_node((one.value, one.flow, one.volume)[part]),)
+        expressions = (of_node(one.parts[part]),)
     else:
         wanted = cast("tuple[str, ...]", requested)
         expressions = tuple(Expression(n, Name(n), frozenset((n,))) for n in wanted)

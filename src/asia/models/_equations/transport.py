@@ -8,18 +8,23 @@ samples, and what enters is what leaves. Before the first sample its value is he
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.config import GreyBoxStructure
-from asia.problem.memory import TransportDelay
+from asia.problem.memory import NOTHING, TransportDelay
 
 # Least width of the volume that leaves, relative to the volume it flows through: with no flow a
 # value stays in place.
 _LEAST, _TINY = 1e-6, 1e-300
 # Length of a buffer, in longest delays of the records, where the delay varies.
 _SPARE = 2
+# Volumes over which a mean with dispersion is taken, in standard deviations, and their weights, on
+# the rectangle with that deviation. Greatest squared deviation, relative to the volume.
+_VOLUMES = tuple((3**0.5 * x, 0.5 * w) for x, w in zip(*leggauss(5), strict=True))
+_MOST_SPREAD = 1 / 3
 
 
 def constant_flow(value: AnyArray, delay: AnyArray, length: int) -> AnyArray:
@@ -41,24 +46,25 @@ def constant_flow(value: AnyArray, delay: AnyArray, length: int) -> AnyArray:
 
 
 def varying_flow(
-    one: TransportDelay, value: Array, entering: Array, volume: Array, length: int
-) -> tuple[Array, int]:
+    one: TransportDelay, value: Array, entering: Array, volume: Array, dispersion: Array,
+    length: int,
+) -> tuple[Array, int]:  # fmt: skip
     """Signal (T, ...) behind a volume (T, ...), from the value and the volume that enter in each
-    sample (T, ...); `length` is the number of samples in the buffer.
+    sample, and the dispersion (T, ...); `length` is the number of samples in the buffer.
 
     Returns:
         The delayed signal, and the number of samples that an unlimited buffer would hold.
     """
     samples, shape = len(value), value.shape[1:]
-    value, entering, volume = (a.reshape(samples, -1) for a in (value, entering, volume))
+    value, entering, volume, dispersion = (
+        a.reshape(samples, -1) for a in (value, entering, volume, dispersion)
+    )
     zeros = np.zeros((1, value.shape[1]))
     first = value[:1]
     deviation = value - first
     edges = np.concatenate([zeros, np.cumsum(entering, axis=0)])
     content = np.concatenate([zeros, np.cumsum(deviation * entering, axis=0)])
-    volume, width = _interval(one, volume, entering)
-    near = edges[1:] - volume
-    far = near - width
+    near, ends = _bounds(one, volume, entering, dispersion)
     now, columns = np.arange(samples)[:, None], np.arange(value.shape[1])
     # Each column is searched in an interval of its own.
     size = np.maximum(edges[-1], _TINY)
@@ -70,46 +76,80 @@ def varying_flow(
         index = np.searchsorted(known, sought.T.ravel(), side="right").reshape(-1, samples).T
         return np.minimum(index - 1 - (samples + 1) * columns, now)
 
-    def amount(place: Array, index: NDArray[np.intp]) -> Array:
-        """Integral of the deviation over the volume from the first parcel to a place."""
+    def amount(depth: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Integral of the deviation over the volume from the first parcel to a depth, and the
+        parcel there."""
+        place = edges[1:] - depth
+        index = parcel(place)
         kept = np.maximum(index, np.maximum(now + 1 - length, 0))
-        return content[kept, columns] + deviation[kept, columns] * (place - edges[kept, columns])
+        beyond = place - edges[kept, columns]
+        return content[kept, columns] + deviation[kept, columns] * beyond, index
 
-    last = parcel(far)
-    delayed = first + (amount(near, parcel(near)) - amount(far, last)) / width
+    delayed, above = first.repeat(samples, axis=0), amount(near)[0]
+    for far, weight in ends:
+        below, last = amount(far)
+        delayed += weight * (above - below)
     return delayed.reshape(samples, *shape), int((now - last).max(initial=0)) + 2
 
 
-def _interval(
-    one: TransportDelay, volume: AnyArray, entering: AnyArray
-) -> tuple[AnyArray, AnyArray]:
-    """Depth and width of the volume whose mean is the signal, measured from the inlet at the end of
-    a step: what leaves in the step, or all that is inside."""
+def _bounds(
+    one: TransportDelay, volume: AnyArray, entering: AnyArray, dispersion: AnyArray
+) -> tuple[AnyArray, list[tuple[AnyArray, AnyArray]]]:
+    """Bounds of the volume whose mean is the signal, as depths from the inlet at the end of a step:
+    the nearer one, and further ones with the inverse of a width. That is what leaves in the step,
+    spread by dispersion, or all that is inside."""
     xp = namespace(volume, entering)
     volume = xp.maximum(volume, 0.0)
+    square = xp.minimum(2.0 * xp.maximum(dispersion, 0.0), _MOST_SPREAD)
     if one.mean:
-        return (0.5 if one.ahead else 1.0) * entering, xp.maximum(volume, _LEAST * entering) + _TINY
+        near = (0.5 if one.ahead else 1.0) * entering
+        width = xp.maximum(volume, _LEAST * entering) + _TINY
+        nodes = _VOLUMES if one.dispersion != NOTHING else ((0.0, 1.0),)
+        spread = xp.sqrt(square)
+        return near, [(near + width * (1.0 + k * spread), w / width) for k, w in nodes]
     width = xp.maximum(entering, _LEAST * volume) + _TINY
-    return (xp.maximum(volume - 0.5 * width, 0.0) if one.ahead else volume), width
+    near = volume - 0.5 * width * one.ahead
+    if one.dispersion != NOTHING:
+        # A rectangle with the variance of both.
+        wide = xp.sqrt(width**2 + 12.0 * square * volume**2)
+        near, width = near - 0.5 * (wide - width), wide
+    near = xp.maximum(near, 0.0)
+    return near, [(near + width, 1.0 / width)]
+
+
+def stirred(
+    before: AnyArray, value: AnyArray, entering: AnyArray, volume: AnyArray
+) -> tuple[AnyArray, AnyArray]:
+    """Mean of what leaves a mixed volume in a step, and what it holds at its end, from what it held
+    before, each (...)."""
+    xp = namespace(before, value, volume)
+    volume = xp.maximum(volume, _LEAST * entering) + _TINY
+    fresh = 1.0 - xp.exp(-entering / volume)
+    share = xp.where(entering > 0, fresh * volume / xp.maximum(entering, _TINY), 1.0)
+    return value + (before - value) * share, before + (value - before) * fresh
 
 
 def buffered(
     one: TransportDelay, past: AnyArray, value: AnyArray, depth: AnyArray, volume: AnyArray,
-    entering: AnyArray,
+    entering: AnyArray, dispersion: AnyArray,
 ) -> AnyArray:  # fmt: skip
     """Signal (...) behind a volume (...), from past values (L - 1, ...), oldest first, this one
     (...), and the volume (L, ...) that entered after each of them."""
     xp = namespace(past, value, depth)
-    volume, width = _interval(one, volume, entering)
-    shape = np.broadcast_shapes(past.shape[1:], value.shape, depth.shape[1:], volume.shape)
-    share = xp.minimum(xp.maximum((depth - volume) / width, 0.0), 1.0)
-    share = xp.broadcast_to(share, (len(depth), *shape))
-    # The oldest value is held before it.
-    before = xp.concatenate([xp.ones((1, *shape), share.dtype), share[:-1]])
+    near, ends = _bounds(one, volume, entering, dispersion)
+    shape = np.broadcast_shapes(past.shape[1:], value.shape, depth.shape[1:], near.shape)
+    shape = np.broadcast_shapes(shape, ends[0][0].shape)
     known = xp.concatenate(
         [xp.broadcast_to(past, (len(past), *shape)), xp.broadcast_to(value, (1, *shape))]
     )
-    return (known * (before - share)).sum(axis=0)
+    found = xp.zeros(shape, known.dtype)
+    for far, weight in ends:
+        share = xp.minimum(xp.maximum((depth - near) / (far - near), 0.0), 1.0)
+        share = xp.broadcast_to(share, (len(depth), *shape))
+        # The oldest value is held before it.
+        before = xp.concatenate([xp.ones((1, *shape), share.dtype), share[:-1]])
+        found = found + weight * (far - near) * (known * (before - share)).sum(axis=0)
+    return found
 
 
 # Delays of the equations in a simulation.
@@ -145,7 +185,7 @@ def along_record(
     states = np.zeros((0, *shape)) if x is None else x
     for k, one in enumerate(every):
         known = np.array(rows)
-        value, flow, volume = system.passage(k, parameters[..., None], states, known)
+        value, flow, volume, spread = system.passage(k, parameters[..., None], states, known)
         entering = _entering(structure, flow, known)
         length = structure.memory[k] if structure.memory else len(u)
         if _is_uniform(structure, one):
@@ -154,8 +194,15 @@ def along_record(
             delay = np.nan_to_num(delay, nan=0.0)
             varies = (delay[0] != delay).any()
             longest = int(np.ceil(np.clip(delay.max(initial=0.0), 0.0, len(u)))) + 2
+        elif one.mixed:
+            held, means = value[0], list[Array]()
+            for parts in zip(value, entering, volume, strict=True):
+                mean, held = stirred(held, *parts)
+                means.append(mean)
+            rows.append(np.array(means))
+            varies, longest = False, 2
         else:
-            found, longest = varying_flow(one, value, entering, volume, length)
+            found, longest = varying_flow(one, value, entering, volume, spread, length)
             rows.append(found)
             varies = True
         needed.append(min(_SPARE * longest if varies else longest, len(u) + 2))
@@ -175,9 +222,9 @@ def empty_buffer(
     length = max((structure.memory[k] for k in range(first, len(system.delays))), default=1)
     made: list[AnyArray] = []
     for k, one in enumerate(every, first):
-        value, _, _ = system.passage(k, parameters[..., None], x, u)
+        value, *_ = system.passage(k, parameters[..., None], x, u)
         made.append(value)
-        if not _is_uniform(structure, one):
+        if not (one.mixed or _is_uniform(structure, one)):
             made.append(xp.zeros_like(value))
         u = xp.concatenate([u, value[None]])
     if not made:
@@ -197,10 +244,16 @@ def advance_buffer(
     place = 0
     for k in range(first, len(system.delays)):
         one, length = system.delays[k], structure.memory[k]
-        value, flow, volume = system.passage(k, parameters[..., None], x, u)
+        value, flow, volume, spread = system.passage(k, parameters[..., None], x, u)
+        entering = _entering(structure, flow, u)
+        if one.mixed:
+            found, held = stirred(line[-1, place], value, entering, volume)
+            kept.append(xp.concatenate([line[:, place], held[None]]))
+            u = xp.concatenate([u, found[None]])
+            place += 1
+            continue
         past = line[len(line) - length + 1 :, place]
         kept.append(xp.concatenate([line[:, place], value[None]]))
-        entering = _entering(structure, flow, u)
         if _is_uniform(structure, one):
             depth = np.arange(length - 1.0, -1.0, -1.0)[:, None, None] * entering
             place += 1
@@ -209,7 +262,7 @@ def advance_buffer(
             kept.append(grown)
             depth = grown[len(grown) - length :]
             place += 2
-        found = buffered(one, past, value, depth, volume, entering)
+        found = buffered(one, past, value, depth, volume, entering, spread)
         u = xp.concatenate([u, found[None]])
     after = xp.stack(kept, axis=1)[1:] if kept else line
     return after, u

@@ -91,6 +91,30 @@ def test_dispersion_is_the_variance_of_the_residence_time(spread: float) -> None
     assert variance / 400.0 == pytest.approx(2.0 * spread, abs=0.003)
 
 
+@pytest.mark.parametrize("spread", [0.0, 0.02, 0.1])
+def test_dispersion_keeps_more_of_the_past_inside(spread: float) -> None:
+    """The mean of a step lacks half of the second moment of the volume, over its mean."""
+    u = np.zeros((400, 2))
+    u[:, 0], u[100:, 1] = 1.0, 1.0
+    y = simulated({"y": f"plug_mean(s, q, 20, {spread})"}, u)[:, 0]
+    lacking = STEP * (1.0 - y[100:]).sum() - 0.5 * STEP
+    assert y[-1] == pytest.approx(1.0, abs=1e-9)
+    assert lacking == pytest.approx(10.0 * (1.0 + 2.0 * spread), abs=0.01)
+
+
+def test_a_lag_of_an_input_that_enters_a_delay_is_no_state() -> None:
+    u = np.zeros((40, 2))
+    u[1:, 1] = 2.0
+    y = simulated({"y": "delay(lag(s, 3), 0)", "constant": "plug_flow(4, q, 3)"}, u)
+    edges = np.exp(-STEP * np.arange(40) / 3.0)
+    # The mean of the exponential over each step.
+    assert y[1:, 0] == pytest.approx(2.0 + 2.0 * 3.0 / STEP * np.diff(edges), abs=1e-9)
+    assert y[:, 1] == pytest.approx(4.0)
+    physics = replace(PHYSICS, observation={**PHYSICS.observation, "y0": "delay(lag(u1, dead), 1)"})
+    model = greybox.build(greybox.Config(), replace(CONTEXT, physics=physics))
+    assert model.structure.equations.states == ("x", "lag 1")
+
+
 def test_a_delayed_state_feeds_back_to_second_order() -> None:
     """x' = -x(t - 1) from a constant past of 1, by the method of steps."""
     errors: list[float] = []

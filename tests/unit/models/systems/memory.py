@@ -22,10 +22,14 @@ PHYSICS = Physics(
         "dead": ParameterRange(0.5, 5.0),
         "spread": ParameterRange(0.001, 0.1),
     },
-    definitions={"hot": "plug_flow(u1, u0, volume)", "slow": "lag(delay(u1*u0, dead), time)"},
+    definitions={
+        "hot": "plug_flow(u1, u0, volume)",
+        "slow": "lag(delay(u1*u0, dead), time)",
+        "inside": "plug_mean(lag(u1, time), u0, volume, spread)",
+    },
     dynamics={"x": "a*(hot - x) + 0.1*slow"},
     observation={
-        "y0": "delay(x, dead/u0) + 0.2*plug_flow(u1, u0, 2*volume, spread)",
+        "y0": "delay(x, dead/u0) + 0.2*plug_flow(u1, u0, 2*volume, spread) + 0.3*inside",
         "y1": "plug_mean(u1**2, u0, volume) - plug_flow(x*u1, u0, volume)",
     },
 )
@@ -37,7 +41,7 @@ CONTEXT = Context(
     n_past_y=3,
     physics=PHYSICS,
 )
-MEMORY = (12, 9, 18, 15, 14, 12)
+MEMORY = (12, 9, 18, 2, 16, 15, 14, 12)
 """Buffers shorter than some delays, which a simulation then cuts."""
 
 
