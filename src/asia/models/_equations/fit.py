@@ -18,6 +18,7 @@ from asia.models._equations.starts import (
     add_network,
     augment,
     initial_states,
+    pieces_of,
     screen,
     starts_near,
     window_prior,
@@ -105,7 +106,12 @@ def fit(
     active[layout.parameters] = 1.0
     augmented, residual = structure.config.augmented, structure.config.residual > 0
     later = residual or fits.choice is not None
-    starts = screen(structure, segments, fits.simulate, count, rng)
+    pieces, near_pieces = pieces_of(structure, segments), None
+    if pieces is not None:
+        short = _Fits(structure, pieces, replace(method, noise_model="white"), count)
+        starts = screen(structure, pieces, short.simulate, count, rng)
+        near_pieces = short.best(starts, active, _BEFORE).theta[:, : layout.size]
+    starts = screen(structure, segments, fits.simulate, count, rng, near_pieces)
     found = fits.best(starts, active, _BEFORE if augmented or later else 0.0)
     if augmented:
         active = np.ones(layout.size)

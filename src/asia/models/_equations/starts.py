@@ -28,6 +28,8 @@ _NO_SPILL = -30.0
 _SCREENED_PER_START = 16
 _MOST_SCREENED_VALUES = 20_000_000
 _MOST_INITIAL_STATES = 240
+# Outputs in a piece for each state, samples and pieces at least.
+_VALUES_OF_STATE, _LEAST_PIECE, _LEAST_PIECES = 6, 10, 3
 # Limit on samples times squared coordinates of one iteration where initial states are measured.
 _MOST_WORK, _MEASURED_WINDOWS = 2e9, (60, 400)
 # Deviation of drawn parameters relative to their range, which is 2 wide.
@@ -120,6 +122,20 @@ def with_memory(
     return replace(structure, memory=needed)
 
 
+def pieces_of(structure: GreyBoxStructure, segments: RecordSegments) -> RecordSegments | None:
+    """Cut segments to pieces so short that a fit from afar finds the way: an error of a frequency
+    does not add up. None where the segments are hardly longer, or initial states are measured."""
+    length = max(_LEAST_PIECE, _VALUES_OF_STATE * structure.nx // structure.ny)
+    ends = range(length, segments.u.shape[1] + 1, length)
+    whole = [(s, k) for k in ends for s in np.flatnonzero(segments.mask[:, k - 1])]
+    if structure.states_measured or len(ends) < _LEAST_PIECES:
+        return None
+    chosen = [whole[i] for i in spread(len(whole), max(1, _MOST_INITIAL_STATES // structure.nx))]
+    return RecordSegments(
+        *(np.stack([values[s, k - length : k] for s, k in chosen]) for values in segments)
+    )
+
+
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:
     """Initial states (S, nx) at the end of fit `i`."""
     if structure.states_measured:
@@ -173,13 +189,16 @@ def screen(
     simulate: CompiledSimulator,
     count: int,
     rng: np.random.Generator,
+    near: Array | None = None,
 ) -> Starts:
     """Choose the `count` best of many points drawn in the parameter ranges, one of them the
-    middle."""
+    middle, and of those near (N, size)."""
     z = _neutral_draws(structure, segments, count)
-    drawn = len(z)
-    shape = (drawn - 1, len(structure.ranges))
+    shape = (len(z) - 1, len(structure.ranges))
     z[1:, structure.layout.parameters] = rng.uniform(-1.0, 1.0, shape)
+    if near is not None:
+        z = np.concatenate([near, z[: max(count, len(z) - len(near))]])
+    drawn = len(z)
     # Initial states: the first measurement, else the middle of the bounds, else 0.
     low, high = np.array(structure.low), np.array(structure.high)
     closed = np.isfinite(low) & np.isfinite(high)
