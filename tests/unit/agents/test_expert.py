@@ -8,7 +8,7 @@ import pytest
 from asia.agents import AgentStoppedError, AgentView, Facts, Proposal, Trial
 from asia.agents.expert import agent
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.expert.diagnosis import COURSE_MOVES, answers, places
+from asia.agents.expert.diagnosis import COURSE_MOVES, answers, diagnoses, places
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cards import neural_ss
 from asia.agents.library.move import Situation, plain_title, title_of
@@ -218,6 +218,24 @@ def test_what_the_user_gave_is_tried_before_any_other_model(given: str) -> None:
     proposal = AGENT().propose(replace(view(known, (first,), "explore"), linear=0.2))
     assert proposal is not None
     assert proposal.family == given
+
+
+def test_equations_with_a_magnitude_need_no_sensor_without_sign() -> None:
+    known = simulation(physics=True)
+    assert known.physics is not None
+    positive = Trajectory(known.records[0].u, abs(known.records[0].y), 1.0)
+    says = replace(known, records=(positive,), description="The sensor gives the magnitude.")
+    first = trial(following(says, (), "explore"), 1, 0.3)
+    name, state = says.outputs[0].name, known.physics.states[-1]
+    for observed, found in ((state, True), (f"abs({state})", False)):
+        physics = replace(known.physics, observation={name: observed})
+        facts = replace(says, physics=physics)
+        grey = replace(
+            first,
+            family="greybox",
+            source=Recipe("greybox", (), "LevenbergMarquardt", ()).source(""),
+        )
+        assert ("sign" in dict(diagnoses(view(facts, (grey,), "explore")))) == found
 
 
 @pytest.mark.parametrize(("turns", "lost"), [("sharp", 0.5), ("smooth", 0.0), ("negative", 0.0)])
