@@ -301,7 +301,7 @@ def train(
             "greybox: delay, plug_flow and plug_mean need inputs that are held between samples: "
             'set intersample to "zero"'
         )
-    structure = replace(model.structure, intersample=acting.kinds if acting.memory else ())
+    structure = replace(model.structure, intersample=acting if acting.memory else None)
     segments = cut_segments(structure, trajectories, context.horizon)
     if structure.time_step is not None:
         if method.noise_model != "white":

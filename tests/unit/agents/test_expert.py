@@ -8,11 +8,12 @@ import pytest
 from asia.agents import AgentStoppedError, AgentView, Facts, Proposal, Trial
 from asia.agents.expert import agent
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.expert.diagnosis import COURSE_MOVES, answers, places
+from asia.agents.expert.diagnosis import COURSE_MOVES, answers, diagnoses, places
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cards import neural_ss
 from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.registry import families, family
+from asia.agents.library.traits import sign_lost
 from asia.agents.library.trial_evidence import overfit
 from asia.data import Array, Trajectory
 from asia.data.statistics import Switching, noise_of_periods, plateau_share
@@ -217,6 +218,36 @@ def test_what_the_user_gave_is_tried_before_any_other_model(given: str) -> None:
     proposal = AGENT().propose(replace(view(known, (first,), "explore"), linear=0.2))
     assert proposal is not None
     assert proposal.family == given
+
+
+def test_equations_with_a_magnitude_need_no_sensor_without_sign() -> None:
+    known = simulation(physics=True)
+    assert known.physics is not None
+    positive = Trajectory(known.records[0].u, abs(known.records[0].y), 1.0)
+    says = replace(known, records=(positive,), description="The sensor gives the magnitude.")
+    first = trial(following(says, (), "explore"), 1, 0.3)
+    name, state = says.outputs[0].name, known.physics.states[-1]
+    for observed, found in ((state, True), (f"abs({state})", False)):
+        physics = replace(known.physics, observation={name: observed})
+        facts = replace(says, physics=physics)
+        grey = replace(
+            first,
+            family="greybox",
+            source=Recipe("greybox", (), "LevenbergMarquardt", ()).source(""),
+        )
+        assert ("sign" in dict(diagnoses(view(facts, (grey,), "explore")))) == found
+
+
+@pytest.mark.parametrize(("turns", "lost"), [("sharp", 0.5), ("smooth", 0.0), ("negative", 0.0)])
+def test_an_output_that_bounces_off_zero_has_lost_its_sign(turns: str, lost: float) -> None:
+    known = simulation(physics=False)
+    wave = np.sin(0.05 * np.arange(2_000.0) + 0.3)[:, None]
+    y = {"sharp": abs(wave), "smooth": 1.0 + wave, "negative": wave}[turns]
+    noisy = y + 1e-4 * np.random.default_rng(0).normal(size=y.shape)
+    record = Trajectory(
+        np.ones((2_000, len(known.inputs))), np.tile(noisy, len(known.outputs)), 1.0
+    )
+    assert sign_lost(replace(known, records=(record,))) == lost
 
 
 def test_a_sensor_without_sign_is_tried_where_the_description_says_so() -> None:

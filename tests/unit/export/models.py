@@ -34,6 +34,7 @@ from asia.models._equations.fit import FittedEquations
 from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import affine
+from asia.models._numerics.intersample import Between
 from asia.models._numerics.lags import History, Lags, OutputRange
 from asia.models._numerics.scaling import Scaling
 from asia.models._one_step import FreeRunModel, Polynomial, PolynomialRun, all_terms
@@ -166,7 +167,9 @@ def grey_box(*between: Intersample) -> greybox.GreyBox:
     mean = 0.1 * np.random.default_rng(4).normal(size=(2, 1 + PAST * (NU + NY)))
     prior = WindowPrior(mean, np.full(2, 0.3), SCALING.y_mean, np.full(2, 0.1))
     fitted = FittedEquations(np.array([0.2]), scales, prior, np.zeros(1))
-    return greybox.GreyBox(replace(built.structure, intersample=between), fitted)
+    return greybox.GreyBox(
+        replace(built.structure, intersample=Between(between or ("zero",) * NU)), fitted
+    )
 
 
 def lowered_model(model: Any) -> LoweredModel:

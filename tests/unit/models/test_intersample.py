@@ -53,25 +53,42 @@ def error(model: greybox.GreyBox, new: Trajectory) -> float:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("memory", [1, 3])
-def test_an_interpolation_reproduces_the_powers_of_time(kind: Intersample, memory: int) -> None:
+@pytest.mark.parametrize("memory", [1, 7, 9])
+def test_an_interpolation_goes_through_the_samples_and_keeps_a_constant(
+    kind: Intersample, memory: int
+) -> None:
     if Between((kind,)).memory > memory:
         return
-    times, samples = np.linspace(0.0, 1.0, 9), np.arange(-memory, 1) + 1.0
-    weights = interpolation(kind, times, memory)
-    for power in range(Between((kind,)).memory + 1):
-        assert weights @ samples**power == pytest.approx(times**power, abs=1e-12)
-    if kind != "zero":
-        assert np.array_equal(weights[-1], np.eye(memory + 1)[-1])
+    weights = interpolation(kind, np.linspace(0.0, 1.0, 9), memory)
+    assert weights.sum(axis=-1) == pytest.approx(1.0)
+    ends = np.eye(memory + 1)[[-2, -2 if kind == "zero" else -1]]
+    assert weights[[0, -1]] == pytest.approx(ends, abs=1e-9)
 
 
-def test_the_curve_follows_a_sine_of_ten_samples_a_period_to_a_percent() -> None:
-    k, times = np.arange(400), np.linspace(0.0, 1.0, 9)
-    for kind, least, most in (("zero", 0.1, 0.4), ("first", 0.01, 0.05), ("band_limited", 0, 0.02)):
-        weights = interpolation(kind, times, 3)
-        windows = np.stack([np.sin(0.2 * np.pi * (k + j)) for j in range(-3, 1)], axis=1)
-        wrong = windows @ weights.T - np.sin(0.2 * np.pi * (k[:, None] - 1 + times))
-        assert least < np.sqrt((wrong**2).mean()) * np.sqrt(2.0) < most
+def multisine(highest: float, samples: int = 2_000) -> tuple[Array, Array]:
+    """Signal with lines up to a frequency per sample, at the samples and at quarters of them."""
+    random = np.random.default_rng(0)
+    lines = np.arange(1, int(highest * samples)) / samples
+    phases = random.uniform(0.0, 2.0 * np.pi, len(lines))
+    fine = np.cos(2.0 * np.pi * np.arange(4 * samples)[:, None] / 4 * lines + phases).sum(axis=1)
+    return fine[::4], fine
+
+
+@pytest.mark.parametrize(("highest", "most"), [(0.1, 0.002), (0.33, 0.03)])
+def test_the_curve_follows_an_input_by_the_spectrum_of_its_records(
+    highest: float, most: float
+) -> None:
+    u, fine = multisine(highest)
+    record = Trajectory(u[:, None], u[:, None], 1.0, "r")
+    acting = between((Signal("u"),), [record], "band_limited")
+    errors: dict[str, float] = {}
+    for kind, one in (("line", Between(("first",))), ("curve", acting)):
+        windows = np.moveaxis(one.windows(u[:, None]), 0, -1)
+        found = one.stages(windows, 2)[:, 1, 0]  # the middles of both halves
+        wrong = np.stack([found[0] - fine[1::4], found[1] - fine[3::4]])[:, 10:-10]
+        errors[kind] = float(wrong.std() / u.std())
+    assert errors["curve"] < most
+    assert errors["curve"] < 0.2 * errors["line"]
 
 
 def test_windows_end_with_the_sample_after_and_hold_the_ends() -> None:
@@ -79,7 +96,7 @@ def test_windows_end_with_the_sample_after_and_hold_the_ends() -> None:
     assert Between(("zero",)).windows(u)[:, :, 0].tolist() == [[0.0], [1.0], [2.0], [3.0], [4.0]]
     found = Between(("first",)).windows(u)[:, :, 0]
     assert found.tolist() == [[0.0, 1.0], [1.0, 2.0], [2.0, 3.0], [3.0, 4.0], [4.0, 4.0]]
-    assert Between(("band_limited",)).windows(u)[0, :, 0].tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert Between(("band_limited",)).windows(u)[0, :, 0].tolist() == [0.0] * 7 + [1.0]
 
 
 def test_a_linear_input_is_integrated_as_such_and_the_parameters_are_found() -> None:
@@ -93,9 +110,9 @@ def test_a_linear_input_is_integrated_as_such_and_the_parameters_are_found() -> 
 
 
 def test_without_a_choice_inputs_are_held_and_the_problem_file_decides() -> None:
-    assert fitted(None).structure.intersample == ()
+    assert fitted(None).structure.intersample is None
     stated = replace(CONTEXT, inputs=(Signal("u", intersample="first"),))
-    assert fitted("zero", stated).structure.intersample == ("first",)
+    assert fitted("zero", stated).structure.intersample == Between(("first",))
 
 
 @pytest.mark.parametrize("kinds", [("first", "zero"), ("zero", "band_limited")])

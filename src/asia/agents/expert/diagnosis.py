@@ -13,6 +13,7 @@ from asia.agents.library.move import (
     is_titled,
     plain_title,
 )
+from asia.agents.library.registry import family
 from asia.agents.library.traits import periodic, sign_lost
 from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
@@ -20,7 +21,8 @@ from asia.data.level_responses import level_responses
 from asia.data.statistics import feedback_size, largest_pole, noise_of_periods, unstable
 from asia.data.trajectory import MOST_DELAY
 from asia.problem.obstacles import least_delay, obstacle
-from asia.recipe import Arguments, Recipe, read_recipe
+from asia.problem.physics_text import read_physics
+from asia.recipe import Arguments, Recipe, read_recipe, with_chosen_equations
 
 # Strategy while no candidate beats the mean of the output: moves to other model classes.
 
@@ -168,7 +170,7 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
     if best is None:
         return ()
     found = dict(best.diagnoses)
-    found["sign"] = sign_lost(view.facts) if "output_map" not in best.source else 0.0
+    found["sign"] = 0.0 if _is_unsigned(view, best) else sign_lost(view.facts)
     if coloured(best) and view.facts.horizon is None:
         found["closed loop"] = 0.5 * feedback_size(view.facts.records)
     if best.family == "linear":
@@ -176,6 +178,17 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
         found["level"] = max((r.share for r in level_responses(view.facts.records)), default=0.0)
     large = [(k, v) for k, v in found.items() if v >= _LEAST_SHARE and k in ANSWERS]
     return tuple(sorted(large, key=lambda item: -item[1]))
+
+
+def _is_unsigned(view: AgentView, trial: Trial) -> bool:
+    """Return whether a trial has outputs without sign: by a static function, or by its
+    equations."""
+    recipe, row = read_recipe(trial.source), family(trial.family)
+    if recipe is None or recipe.get("output_map") or row is None or row.kind != "equations":
+        return "output_map" in trial.source
+    own = with_chosen_equations(recipe, trial.variant).get("physics")
+    known = read_physics(str(own[0])) if isinstance(own, tuple) and own else view.facts.physics
+    return known is not None and any("abs(" in text for text in known.observation.values())
 
 
 def places(facts: Facts) -> dict[str, float]:

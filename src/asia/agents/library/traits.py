@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from asia.agents.view import Facts
 from asia.data.statistics import integrating, period, resonant
+from asia.data.trajectory import Array
 from asia.problem.memory import has_memory
 from asia.problem.symmetry import of_signals
 
@@ -71,13 +73,41 @@ _UNSIGNED = re.compile(
 )
 
 
+# Change of the slope at the turns of an output at zero over the largest slope near them: about 1
+# for a magnitude, and the less for a smooth output, the more samples a turn has.
+_SHARP = 0.3
+
+
 def sign_lost(facts: Facts) -> float:
     """Return how likely the outputs lack their sign: 1 where the user's words say so, 0.5 where
-    every output only touches zero, 0 where one is negative."""
+    every output bounces off zero, 0 where one is negative."""
     y = np.concatenate([r.y for r in facts.records])
-    low, high = np.quantile(y, (0.05, 0.95), axis=0)
+    high = np.quantile(y, 0.95, axis=0)
     if (y.min(axis=0) < -0.05 * high).any() or (high <= 0).any():
         return 0.0
     names = " ".join(s.name for s in (*facts.inputs, *facts.outputs))
     text = f"{facts.description} {facts.notes} {facts.strategies} {names}".lower()
-    return 1.0 if _UNSIGNED.search(text) else 0.5 * bool((low < 0.05 * high).all())
+    if _UNSIGNED.search(text):
+        return 1.0
+    return 0.5 * all(_bounces([r.y[:, k] for r in facts.records], h) for k, h in enumerate(high))
+
+
+def _bounces(outputs: Sequence[Array], high: float) -> bool:
+    """Return whether an output turns at zero within a sample or two, as a magnitude does: the
+    motion of a signed output that turns there slows down first.
+
+    Args:
+        outputs: of each record (T,)
+        high: a large value of the output
+    """
+    turns = list[float]()
+    for y in outputs:
+        near = np.concatenate([[0], y < 0.05 * high, [0]])
+        visits = zip(
+            np.flatnonzero(np.diff(near) > 0), np.flatnonzero(np.diff(near) < 0), strict=True
+        )
+        for first, last in ((a, b) for a, b in visits if a > 0 and b < len(y)):
+            k = first + int(np.argmin(y[first:last]))
+            fastest = np.abs(np.diff(y[first - 1 : last + 1])).max()
+            turns.append(float(y[k - 1] - 2.0 * y[k] + y[k + 1]) / fastest)
+    return bool(turns) and float(np.median(turns)) > _SHARP

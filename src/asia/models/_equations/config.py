@@ -51,7 +51,7 @@ class Config:
     """Runge-Kutta steps of order 4 from one sample to the next."""
     intersample: Intersample | None = None
     """Inputs between samples where problem file and records leave them open: "zero" (held), "first"
-    (linear) or "band_limited" (cubic). None lets a search choose, and else holds them."""
+    (linear) or "band_limited" (a curve). None lets a search choose, and else holds them."""
     initial: Initial | None = None
     """Initial state of a simulation: "measured" takes the last measured outputs, where every state
     is an output; "estimated" uses the whole past window. None is measured with a horizon, where
@@ -178,8 +178,8 @@ class GreyBoxStructure:
     """Samples in the buffer of each delay of the equations; () before the records are known."""
     shown: tuple[tuple[int, int], ...] | None = None
     """`measured_states` where the observation has been changed."""
-    intersample: tuple[Intersample, ...] = ()
-    """Behaviour of each input between samples; () holds all, as in older models."""
+    intersample: Between | None = None
+    """Inputs between samples; None holds all."""
 
     def __post_init__(self) -> None:
         states, outputs = self.equations.states, self.equations.outputs
@@ -238,7 +238,7 @@ class GreyBoxStructure:
     @cached_property
     def between(self) -> Between:
         """Inputs between samples."""
-        return Between(self.intersample or ("zero",) * self.nu)
+        return self.intersample or Between(("zero",) * self.nu)
 
     @cached_property
     def measured_states(self) -> dict[int, int]:

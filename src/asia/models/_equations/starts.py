@@ -320,6 +320,26 @@ def add_network(
 # Range of the states, and map from a past window to the state, both learned in training.
 
 
+# Ridges of the map from a past window to the state. A large one hides the speed in the small
+# differences between the outputs of a window.
+_WINDOW_RIDGES = (1.0, 1e-2, 1e-4, 1e-6)
+
+
+def _ridge_weights(phi: Array, target: Array) -> Array:
+    """Weights (n, m) of a ridge regression of targets (N, m) on phi (N, n), each with the ridge of
+    the least error by generalised cross-validation (Golub, Heath and Wahba, Technometrics 21(2),
+    1979)."""
+    size, axes = np.linalg.eigh(phi.T @ phi)
+    size = np.maximum(size, 0.0)
+    found, errors = list[Array](), list[Array]()
+    for ridge in _WINDOW_RIDGES:
+        found.append(axes @ ((axes.T @ (phi.T @ target)) / (size + ridge)[:, None]))
+        free = max(len(phi) - float((size / (size + ridge)).sum()), 1.0)
+        errors.append(((target - phi @ found[-1]) ** 2).sum(axis=0) / free**2)
+    best = np.argmin(errors, axis=0)
+    return np.stack(found)[best, :, np.arange(target.shape[1])].T
+
+
 def window_prior(
     structure: GreyBoxStructure,
     segments: RecordSegments,
@@ -354,8 +374,7 @@ def window_prior(
         ]
     )
     target = start - mean
-    normal = phi.T @ phi + np.eye(width)
-    weights = np.linalg.solve(normal, phi.T @ target).T
+    weights = _ridge_weights(phi, target).T
     error = np.sqrt(((target - phi @ weights.T) ** 2).mean(axis=0))
     weights[:, 0] += mean
     return prior._replace(mean=weights, x_deviation=np.maximum(error, 1e-3 * spread))

@@ -1,8 +1,9 @@
-"""Inputs between samples: held, linear, or on a curve through the last four samples.
+"""Inputs between samples: held, linear, or on a curve through the last eight samples.
 
-All are causal: inputs up to a sample decide the state there. The curve is the cubic through the
-samples at the ends of an interval and the two before it (Lagrange), which follows a band-limited
-input closer than a line does.
+All are causal: inputs up to a sample decide the state there. The curve of a band-limited input is
+the best linear prediction from the samples at the ends of an interval and the six before it, for a
+signal with the spectrum of the records (Wiener, Extrapolation, Interpolation, and Smoothing of
+Stationary Time Series, 1949).
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from asia.models._arrays import AnyArray
 
 # Samples before the end of an interval that decide the input in it; a held input is known at the
 # start.
-_MEMORY: Final[dict[Intersample, int]] = {"zero": 0, "first": 1, "band_limited": 3}
+_MEMORY: Final[dict[Intersample, int]] = {"zero": 0, "first": 1, "band_limited": 7}
+# Equal bands of a spectrum, from zero to half the sampling frequency, and the least share of one:
+# what records lack must not have large weights.
+_BANDS, _LEAST_SHARE = 32, 1e-6
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,9 @@ class Between:
     """Behaviour of each input between its samples."""
 
     kinds: tuple[Intersample, ...]
+    spectra: tuple[tuple[float, ...], ...] = ()
+    """Shares of the power of each input in equal bands from zero to half the sampling frequency,
+    without its mean; () is all power in the lower half. Read for band-limited inputs."""
 
     @cached_property
     def memory(self) -> int:
@@ -55,23 +62,58 @@ class Between:
 
     def _weights(self, substeps: int, axes: int) -> Array:
         times = (np.arange(substeps)[:, None] + np.array([0.0, 0.5, 1.0])) / substeps
-        each = np.stack([interpolation(kind, times, self.memory) for kind in self.kinds], axis=-1)
-        return each.reshape(*each.shape, *(1,) * (axes - 2))
+        shown = self.spectra or ((1.0, 0.0),) * len(self.kinds)
+        each = [
+            interpolation(kind, times, self.memory, spectrum)
+            for kind, spectrum in zip(self.kinds, shown, strict=True)
+        ]
+        found = np.stack(each, axis=-1)
+        return found.reshape(*found.shape, *(1,) * (axes - 2))
 
 
-def interpolation(kind: Intersample, times: Array, memory: int) -> Array:
+def interpolation(
+    kind: Intersample, times: Array, memory: int, spectrum: Sequence[float] = (1.0, 0.0)
+) -> Array:
     """Weights (..., memory + 1) of the samples up to the end of an interval, the oldest first, in
-    the input at relative times (...) of the interval, from 0 to 1."""
+    the input at relative times (...) of the interval, from 0 to 1, for shares of power as in
+    `Between.spectra`."""
     found = np.zeros((*times.shape, memory + 1))
-    nodes = np.arange(-_MEMORY[kind], 1) + 1.0
     if kind == "zero":
         found[..., max(memory - 1, 0)] = 1.0
-        return found
-    for k, node in enumerate(nodes):
-        others = np.delete(nodes, k)
-        weights = ((times[..., None] - others) / (node - others)).prod(axis=-1)
-        found[..., memory + 1 - len(nodes) + k] = weights
+    elif kind == "first":
+        found[..., -2], found[..., -1] = 1.0 - times, times
+    else:
+        nodes = np.arange(-_MEMORY[kind], 1) + 1.0
+        size = len(nodes)
+        # The last row demands that a constant input stays one.
+        system = np.ones((size + 1, size + 1))
+        system[:size, :size] = _correlation(nodes[:, None] - nodes, spectrum)
+        system[size, size] = 0.0
+        right = np.ones((*times.shape, size + 1))
+        right[..., :size] = _correlation(times[..., None] - nodes, spectrum)
+        found[..., memory + 1 - size :] = (right @ np.linalg.inv(system))[..., :size]
     return found
+
+
+def _correlation(lags: Array, spectrum: Sequence[float]) -> Array:
+    """Correlation (...) of a signal at lags (...) in samples, from shares of power in bands."""
+    shares = np.array(spectrum) + _LEAST_SHARE
+    width = 0.5 / len(shares)
+    middle = width * (np.arange(len(shares)) + 0.5)
+    bands = np.cos(2.0 * np.pi * lags[..., None] * middle) * np.sinc(width * lags[..., None])
+    return bands @ (shares / shares.sum())
+
+
+def _spectra(records: Sequence[Trajectory]) -> tuple[tuple[float, ...], ...]:
+    """Shares of the power of each input in equal bands, for `Between`."""
+    found = np.zeros((_BANDS, records[0].u.shape[1]))
+    for record in records:
+        moved = (record.u - record.u.mean(axis=0)) * np.hanning(len(record))[:, None]
+        power = np.abs(np.fft.rfft(moved, axis=0)) ** 2
+        place = np.minimum(np.arange(len(power)) * _BANDS * 2 // len(record), _BANDS - 1)
+        np.add.at(found, place, power)
+    shares = found / np.maximum(found.sum(axis=0), np.finfo(float).tiny)
+    return tuple(tuple(map(float, column)) for column in shares.T)
 
 
 def inputs_of(
@@ -107,4 +149,4 @@ def between(
             'intersample = "band_limited" needs one sampling time: give "first" or "zero" with '
             "irregular samples"
         )
-    return Between(kinds)
+    return Between(kinds, _spectra(records) if "band_limited" in kinds else ())

@@ -12,6 +12,9 @@ from asia.candidate import Context
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox
+from asia.models._equations.starts import (
+    _ridge_weights,  # pyright: ignore[reportPrivateUsage]
+)
 from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
 from tests.unit.models.systems.equations import (
@@ -426,3 +429,17 @@ def test_rounding_does_not_move_the_initial_state() -> None:
     rounded = past_y * (1.0 + 4e-16 * rng.choice([-1.0, 1.0], size=past_y.shape))
     other = model.simulate(past_u, rounded, after)
     assert np.abs(plain - other).max() < 2e-11 * y.std()
+
+
+def test_a_past_window_shows_the_speed_in_the_small_differences_of_its_outputs() -> None:
+    random = np.random.default_rng(0)
+    time = np.arange(4_000)[:, None]
+    rates, phases = random.uniform(1e-3, 4e-3, 8), random.uniform(0.0, 6.0, 8)
+    position = np.sin(rates * time + phases).sum(axis=1)
+    speed = (rates * np.cos(rates * time + phases)).sum(axis=1)
+    windows = np.lib.stride_tricks.sliding_window_view(position, 20)
+    phi = np.column_stack([np.ones(len(windows)), windows + 1e-6 * random.normal(size=(1, 20))])
+    target = np.column_stack([speed[: len(windows)], random.normal(size=len(windows))])
+    left = target - phi @ _ridge_weights(phi, target)
+    assert left[:, 0].std() < 0.02 * speed.std()
+    assert left[:, 1].std() == pytest.approx(1.0, abs=0.05)

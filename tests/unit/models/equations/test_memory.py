@@ -228,7 +228,7 @@ def test_delays_need_held_inputs_and_lags_do_not() -> None:
         model = greybox.build(config, context)
         if term == "lag(u, k)":
             trained = greybox.train(model, [record], context, method)
-            assert trained.structure.intersample == ("first",)
+            assert trained.structure.between.kinds == ("first",)
             past_u, past_y, later = u[None, :2], u[None, :2], u[None, 2:]
             y = trained.simulate(past_u, past_y, later)
             assert simulate_steps(trained, past_u, past_y, later) == pytest.approx(y, abs=1e-10)
