@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from zlib import crc32
@@ -102,6 +103,14 @@ def compiled_once(pytestconfig: pytest.Config) -> Iterator[None]:
     """A program that an earlier test or an earlier run compiled is not compiled again."""
     with kept(pytestconfig.rootpath / "build" / "compiled"):
         yield
+
+
+@pytest.fixture(autouse=True)
+def default_precision() -> Iterator[None]:
+    """A model that is lowered turns on double precision, in a search for its own process alone."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].config.update("jax_enable_x64", False)
 
 
 @pytest.fixture(autouse=True)

@@ -1,9 +1,8 @@
 """Every family: simulation, in one piece, equals its steps in NumPy and the lowered program."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 
@@ -23,13 +22,6 @@ from .test_simulation import cart, cart_context, requests, trained
 DOUBLE, SINGLE = 1e-9, 1e-5
 QUICK = ("linear with delay", "linear with levels", "neural_ss",
          "neural_ss with transport", "narx", "gp_narx", "esn with horizon", "gru")  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def precision() -> Iterator[None]:
-    before = jax.config.jax_enable_x64
-    yield
-    jax.config.update("jax_enable_x64", before)
 
 
 def check_steps(model: Any, cases: list[Any], past: int, nu: int, ny: int) -> None:

@@ -3,11 +3,9 @@
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
@@ -18,13 +16,6 @@ from asia.lowering.evaluation import simulate
 from asia.lowering.program import Builder, LoweredModel
 
 from .models import MODELS, NU, NY, lowered_model, ready
-
-
-@pytest.fixture(autouse=True)
-def precision() -> Iterator[None]:
-    before = jax.config.jax_enable_x64
-    yield
-    jax.config.update("jax_enable_x64", before)
 
 
 def offered(target: str) -> str:

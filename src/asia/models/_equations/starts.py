@@ -124,11 +124,12 @@ def with_memory(
 
 def pieces_of(structure: GreyBoxStructure, segments: RecordSegments) -> RecordSegments | None:
     """Cut segments to pieces so short that a fit from afar finds the way: an error of a frequency
-    does not add up. None where the segments are hardly longer, or initial states are measured."""
+    does not add up. None where the segments are hardly longer, initial states are measured, or the
+    equations delay signals."""
     length = max(_LEAST_PIECE, _VALUES_OF_STATE * structure.nx // structure.ny)
     ends = range(length, segments.u.shape[1] + 1, length)
     whole = [(s, k) for k in ends for s in np.flatnonzero(segments.mask[:, k - 1])]
-    if structure.states_measured or len(ends) < _LEAST_PIECES:
+    if structure.states_measured or structure.equations.delays or len(ends) < _LEAST_PIECES:
         return None
     chosen = [whole[i] for i in spread(len(whole), max(1, _MOST_INITIAL_STATES // structure.nx))]
     return RecordSegments(
