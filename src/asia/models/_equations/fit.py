@@ -82,8 +82,9 @@ def fit(
     to parts of the records, best of the fits of all coordinates from these.
 
     The first stage fits only the equations, from points drawn in their ranges and screened, and
-    from fits to short pieces of the records; the second fits the additions from the better half of these, with starting points drawn anew; the
-    third fits the residual network, which starts without effect, from the best of these.
+    from fits to short pieces of the records; the second fits the additions from the better half of
+    these, with starting points drawn anew; the third fits the residual network, which starts
+    without effect, from the best of these.
     With a noise model, the fits before the network and those with it are followed by estimates of
     the noise from the best fit's residuals, and generalised least squares from the best points
     found. The same seed gives bitwise the same result. `log` receives the number of each iteration
