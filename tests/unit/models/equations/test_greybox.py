@@ -73,7 +73,7 @@ def test_recovers_the_parameters_with_unknown_initial_states(duffing: greybox.Gr
 
 def test_a_refit_starts_from_the_fold_models(duffing_context: Context) -> None:
     records = [duffing_record(200, 0, NOISE), duffing_record(150, 1, NOISE)]
-    config, short = greybox.Config(residual=2), LevenbergMarquardt(iterations=4, starts=1)
+    config, short = greybox.Config(residual=2), LevenbergMarquardt(iterations=1, starts=1)
     folds = [fitted(config, [record], duffing_context) for record in records]
     near = replace(duffing_context, fold_models=lambda: (*folds, folds[0].fitted))
     warm, cold = (fitted(config, records, context, short) for context in (near, duffing_context))
