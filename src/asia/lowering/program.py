@@ -328,6 +328,8 @@ class Builder:
         """Add an operation and return the number of its result. Raises ShapeError if operands and
         attributes do not fit together."""
         shapes = [self.shape(i) for i in operands]
+        if op != "part" and any(n and n.op in ("loop", "call") for n in map(self.node, operands)):
+            raise ShapeError(f"{op} reads a loop or call in whole, and not a part of it")
         if op in ("loop", "call"):
             _check_body(op, attrs, shapes, body)
             shape: Shape = ()

@@ -3,8 +3,8 @@
 A word tells the more, the fewer plants of the catalogue have it, by its inverse document frequency
 (Spärck Jones, Journal of Documentation 28, 1972). The words of a description that the catalogue
 has are compared with those of each plant by naive Bayes: half of them are the plant's own where it
-is this plant, and each is by chance otherwise. What the records show or do not show counts in the
-same way. A plant needs a signal for each of its roles, and a role for each output.
+is this plant, and each is by chance otherwise. Findings in the records, seen or missing,
+count in the same way. A plant needs a signal for each of its roles, and a role for each output.
 """
 
 from __future__ import annotations

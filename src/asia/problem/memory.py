@@ -61,7 +61,7 @@ class TransportDelay:
 
     @property
     def parts(self) -> tuple[Node, Node, Node, Node]:
-        """What enters, flow, volume and dispersion."""
+        """Entering signal, flow, volume and dispersion."""
         return self.value, self.flow, self.volume, self.dispersion
 
 
@@ -124,14 +124,22 @@ class _Expansion:
         observation = [
             self._of(_parsed(physics.observation, name, "observation"), False) for name in outputs
         ]
-        driven = [d for d in self._delays if d.name not in self._dynamic]
+        rates = [part for both in self._hidden.values() for part in both]
+        read = frozenset[str]().union(*map(self._closure, (*dynamics, *observation, *rates)))
+        delays = list[TransportDelay]()
+        # Each comes after those that it reads.
+        for one in reversed(self._delays):
+            if one.name in read:
+                delays.insert(0, one)
+                read = read.union(*map(self._closure, one.parts))
+        driven = [d for d in delays if d.name not in self._dynamic]
         return Expanded(
             definitions=tuple(self._plain.items()),
             states=(*physics.states, *self._hidden),
             dynamics=(*dynamics, *(rate for rate, _ in self._hidden.values())),
             observation=tuple(observation),
             rest=tuple(rest for _, rest in self._hidden.values()),
-            delays=(*driven, *(d for d in self._delays if d.name in self._dynamic)),
+            delays=(*driven, *(d for d in delays if d.name in self._dynamic)),
             driven=len(driven),
         )
 

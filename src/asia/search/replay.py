@@ -230,8 +230,8 @@ class _Replaying:
 
     def _is_submitted(self, event: Proposed) -> bool:
         """Return whether a coding agent beside the search's own one proposed this."""
-        beside = COMPANION in self.run.view.started.agent_settings
-        return beside and self.agent is not None and event.agent != self.agent.name
+        beside = self.run.view.started.agent_settings.get(COMPANION)
+        return beside is not None and event.agent not in ("", beside)
 
     def _seen(self, before: SearchView) -> AgentView:
         """The agent's view, with the budget of that time."""

@@ -80,6 +80,8 @@ def test_damaged_bytes_are_refused_or_are_a_whole_model(data: st.DataObject) -> 
         return
     assert isinstance(found, LoweredModel)
     found.check()
+    assert found.step.plain.output_shapes == found.step.output_shapes
+    assert found.initial.plain.output_shapes == found.initial.output_shapes
 
 
 @given(st.integers(0, 400))

@@ -105,6 +105,8 @@ def grid(places: Places) -> list[tuple[int, int]] | None:
     """Counts and steps of nested loops that visit these indices row by row; None if there are no
     such loops."""
     found, axes = places.reshape(-1)[:1], list[tuple[int, int]]()
+    if not places.size:
+        return []
     for axis, count in enumerate(places.shape):
         if count > 1:
             step = int(places.swapaxes(0, axis)[1].reshape(-1)[0] - found[0])
@@ -468,6 +470,8 @@ class Statements:
             return target
         source = self._placed(one)
         at, places = source.at, source_places(node, source.shape).reshape(node.shape)
+        if not places.size:
+            return self.region(node.shape)
         if grid(places) in ([], [(places.size, 1)]):
             # A contiguous part is read in place.
             start = int(places.reshape(-1)[0])
@@ -645,10 +649,6 @@ def _row(value: Value, index: str) -> Element:
     size = math.prod(value.shape[1:])
     row = f"{index} * {size}" if size != 1 else index
     return lambda i: value.at(row if i == "0" else f"{row} + {i}")
-
-
-def _through(element: Element, place: Callable[[str], str]) -> Element:
-    return lambda i: element(place(i))
 
 
 def _elementwise(node: Node, operands: list[Value]) -> Value:

@@ -526,7 +526,7 @@ class CommandAgent(SubmittedAgent):
 
     def _take(self) -> Proposal | None:
         """Start agents, or start them again, and return the submitted candidate, unless a cap was
-        reached meanwhile. What agents that have all ended left in the queue waits for the next
+        reached meanwhile. Candidates of agents that have all ended wait in the queue for the next
         sitting."""
         queue = self._queue
         waiting = {p.agent for ticket in queue.tickets() if (p := queue.get(ticket))}
@@ -554,15 +554,16 @@ class CommandAgent(SubmittedAgent):
         return proposal
 
     def _ask_companion(self) -> Proposal | None:
-        """Its proposal, once a view, while it has no more experiments than each of the others on
-        average."""
+        """Its proposal. It is asked once a view, unless a coding agent is at work and it has more
+        experiments than the mean of these."""
         view, asked, companion = self._view, self._asked, self._companion
         if companion is None or asked is None:
             return None
         assert view is not None
         own = sum(e.proposed.agent == companion.name for e in view.experiments)
         others = sum(agent.experiments(view) for agent in self._agents)
-        if own * sum(agent.ended is None for agent in self._agents) > others:
+        at_work = any(agent.ended is None for agent in self._agents)
+        if at_work and own * len(self._agents) > others:
             return None
         self._asked = None
         try:
@@ -572,9 +573,13 @@ class CommandAgent(SubmittedAgent):
         return proposal and replace(proposal, agent=companion.name)
 
     def _attend(self, agent: CodingAgent) -> None:
-        session = agent.session
+        session, view = agent.session, self._view
+        assert view is not None
         if session is None:
-            agent.session = self._start(agent)
+            cost = self._rules.cost
+            # All that is left may be granted to others: it waits until they end.
+            if cost is None or self._grant(view, cost) > 0.0:
+                agent.session = self._start(agent)
             return
         if session.error is not None:
             raise session.error
@@ -594,7 +599,7 @@ class CommandAgent(SubmittedAgent):
             self._end(agent, StopCause("agent", detail))
 
     def _end(self, agent: CodingAgent, cause: StopCause) -> None:
-        """Leave an agent ended, and the search as well where the cause is a cap of all of them."""
+        """End an agent. Raises AgentStoppedError where the cause is a cap that all share."""
         agent.ended = cause
         if cause.reason not in ("stuck", "agent"):
             raise AgentStoppedError(*cause)

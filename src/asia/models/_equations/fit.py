@@ -18,8 +18,8 @@ from asia.models._equations.starts import (
     add_network,
     augment,
     initial_states,
-    pieces_of,
     screen,
+    short_segments,
     starts_near,
     window_prior,
 )
@@ -82,8 +82,8 @@ def fit(
     to parts of the records, best of the fits of all coordinates from these.
 
     The first stage fits only the equations, from points drawn in their ranges and screened, and
-    from fits to short pieces of the records; the second fits the additions from the better half of
-    these, with starting points drawn anew; the third fits the residual network, which starts
+    from fits to short segments of the records; the second fits the additions from the better half
+    of these, with starting points drawn anew; the third fits the residual network, which starts
     without effect, from the best of these.
     With a noise model, the fits before the network and those with it are followed by estimates of
     the noise from the best fit's residuals, and generalised least squares from the best points
@@ -107,12 +107,12 @@ def fit(
     active[layout.parameters] = 1.0
     augmented, residual = structure.config.augmented, structure.config.residual > 0
     later = residual or fits.choice is not None
-    pieces, near_pieces = pieces_of(structure, segments), None
-    if pieces is not None:
-        short = _Fits(structure, pieces, replace(method, noise_model="white"), count)
-        starts = screen(structure, pieces, short.simulate, count, rng)
-        near_pieces = short.best(starts, active, _BEFORE).theta[:, : layout.size]
-    starts = screen(structure, segments, fits.simulate, count, rng, near_pieces)
+    short, z = short_segments(structure, segments), None
+    if short is not None:
+        first = _Fits(structure, short, replace(method, noise_model="white"), count)
+        starts = screen(structure, short, first.simulate, count, rng)
+        z = first.best(starts, active, _BEFORE).theta[:, : layout.size]
+    starts = screen(structure, segments, fits.simulate, count, rng, z)
     found = fits.best(starts, active, _BEFORE if augmented or later else 0.0)
     if augmented:
         active = np.ones(layout.size)

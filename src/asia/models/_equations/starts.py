@@ -28,8 +28,8 @@ _NO_SPILL = -30.0
 _SCREENED_PER_START = 16
 _MOST_SCREENED_VALUES = 20_000_000
 _MOST_INITIAL_STATES = 240
-# Outputs in a piece for each state, samples and pieces at least.
-_VALUES_OF_STATE, _LEAST_PIECE, _LEAST_PIECES = 6, 10, 3
+# Outputs in a short segment for each state, its samples and the number of them, at least.
+_VALUES_OF_STATE, _SHORTEST, _FEWEST = 6, 10, 3
 # Limit on samples times squared coordinates of one iteration where initial states are measured.
 _MOST_WORK, _MEASURED_WINDOWS = 2e9, (60, 400)
 # Deviation of drawn parameters relative to their range, which is 2 wide.
@@ -122,14 +122,14 @@ def with_memory(
     return replace(structure, memory=needed)
 
 
-def pieces_of(structure: GreyBoxStructure, segments: RecordSegments) -> RecordSegments | None:
-    """Cut segments to pieces so short that a fit from afar finds the way: an error of a frequency
-    does not add up. None where the segments are hardly longer, initial states are measured, or the
-    equations delay signals."""
-    length = max(_LEAST_PIECE, _VALUES_OF_STATE * structure.nx // structure.ny)
+def short_segments(structure: GreyBoxStructure, segments: RecordSegments) -> RecordSegments | None:
+    """Cut segments to short ones, in which a wrong frequency hardly shifts the phase: fits from
+    distant starting points converge there. None where the segments are hardly longer, initial
+    states are measured, or the equations delay signals."""
+    length = max(_SHORTEST, _VALUES_OF_STATE * structure.nx // structure.ny)
     ends = range(length, segments.u.shape[1] + 1, length)
     whole = [(s, k) for k in ends for s in np.flatnonzero(segments.mask[:, k - 1])]
-    if structure.states_measured or structure.equations.delays or len(ends) < _LEAST_PIECES:
+    if structure.states_measured or structure.equations.delays or len(ends) < _FEWEST:
         return None
     chosen = [whole[i] for i in spread(len(whole), max(1, _MOST_INITIAL_STATES // structure.nx))]
     return RecordSegments(
@@ -324,21 +324,27 @@ def add_network(
 # Ridges of the map from a past window to the state. A large one hides the speed in the small
 # differences between the outputs of a window.
 _WINDOW_RIDGES = (1.0, 1e-2, 1e-4, 1e-6)
+# Degrees of freedom that a smaller one than the first must leave, relative to the windows.
+_LEAST_FREE = 0.2
 
 
-def _ridge_weights(phi: Array, target: Array) -> Array:
+def _ridge_weights(phi: Array, target: Array) -> tuple[Array, Array]:
     """Weights (n, m) of a ridge regression of targets (N, m) on phi (N, n), each with the ridge of
     the least error by generalised cross-validation (Golub, Heath and Wahba, Technometrics 21(2),
-    1979)."""
+    1979), and these errors (m,), root mean squares."""
+    count = len(phi)
     size, axes = np.linalg.eigh(phi.T @ phi)
     size = np.maximum(size, 0.0)
     found, errors = list[Array](), list[Array]()
     for ridge in _WINDOW_RIDGES:
+        free = count - float((size / (size + ridge)).sum())
+        if found and free < _LEAST_FREE * count:
+            break
         found.append(axes @ ((axes.T @ (phi.T @ target)) / (size + ridge)[:, None]))
-        free = max(len(phi) - float((size / (size + ridge)).sum()), 1.0)
-        errors.append(((target - phi @ found[-1]) ** 2).sum(axis=0) / free**2)
-    best = np.argmin(errors, axis=0)
-    return np.stack(found)[best, :, np.arange(target.shape[1])].T
+        square = ((target - phi @ found[-1]) ** 2).sum(axis=0)
+        errors.append(np.sqrt(count * square) / max(free, 1.0))
+    best, each = np.argmin(errors, axis=0), np.arange(target.shape[1])
+    return np.stack(found)[best, :, each].T, np.stack(errors)[best, each]
 
 
 def window_prior(
@@ -375,7 +381,7 @@ def window_prior(
         ]
     )
     target = start - mean
-    weights = _ridge_weights(phi, target).T
-    error = np.sqrt(((target - phi @ weights.T) ** 2).mean(axis=0))
+    columns, error = _ridge_weights(phi, target)
+    weights = columns.T
     weights[:, 0] += mean
     return prior._replace(mean=weights, x_deviation=np.maximum(error, 1e-3 * spread))

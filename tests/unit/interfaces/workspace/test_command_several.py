@@ -1,8 +1,6 @@
 """Several coding agents on one search: one ledger, one budget, results visible to all."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -176,7 +174,8 @@ def test_a_search_killed_at_any_point_goes_on(tmp_path: Path) -> None:
             if lines.count(f'"event":"{event}"'.encode()) >= times:
                 break
             time.sleep(0.01)
-        os.kill(search.pid, signal.SIGKILL)
+        assert search.poll() is None
+        search.kill()
         search.wait()
         lines = [line for line in ledger.read_bytes().splitlines(True) if line.endswith(b"\n")]
         assert lines[: len(before)] == before

@@ -440,6 +440,16 @@ def test_a_past_window_shows_the_speed_in_the_small_differences_of_its_outputs()
     windows = np.lib.stride_tricks.sliding_window_view(position, 20)
     phi = np.column_stack([np.ones(len(windows)), windows + 1e-6 * random.normal(size=(1, 20))])
     target = np.column_stack([speed[: len(windows)], random.normal(size=len(windows))])
-    left = target - phi @ _ridge_weights(phi, target)
+    weights, error = _ridge_weights(phi, target)
+    left = target - phi @ weights
+    assert error == pytest.approx(left.std(axis=0), rel=0.02)
     assert left[:, 0].std() < 0.02 * speed.std()
     assert left[:, 1].std() == pytest.approx(1.0, abs=0.05)
+
+
+def test_few_past_windows_do_not_make_the_initial_state_look_certain() -> None:
+    random = np.random.default_rng(1)
+    phi, truth = random.normal(size=(440, 46)), random.normal(size=(46, 1))
+    target = phi @ truth + random.normal(size=(440, 1))
+    weights, error = _ridge_weights(phi[:40], target[:40])
+    assert error[0] > 0.3 * (target - phi @ weights)[40:].std()
