@@ -85,7 +85,8 @@ def varying_flow(
         beyond = place - edges[kept, columns]
         return content[kept, columns] + deviation[kept, columns] * beyond, index
 
-    delayed, above = first.repeat(samples, axis=0), amount(near)[0]
+    delayed = first.repeat(samples, axis=0)
+    above, last = amount(near)
     for far, weight in ends:
         below, last = amount(far)
         delayed += weight * (above - below)
