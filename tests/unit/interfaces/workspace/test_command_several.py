@@ -147,6 +147,25 @@ def test_a_cap_is_that_of_all_agents(tmp_path: Path) -> None:
     assert Spent.of(view, ()).cost == pytest.approx(3.6)
 
 
+def test_an_agent_waits_while_others_may_spend_what_is_left(tmp_path: Path) -> None:
+    problem = write_problem(tmp_path / "toy", experiments=3)
+    ready = prepare(load_problem(problem), NAME, seed=0, runs=tmp_path / "runs", name=NAME)
+    paid = (
+        "import json,pathlib,time;"
+        "late = 'You are claude-1.' not in pathlib.Path('PROMPT.md').read_text();"
+        "time.sleep(3 * late);"
+        "print(json.dumps(dict(type='result',subtype='success',"
+        "total_cost_usd=1.2 if late else 1.05,session_id='s')),flush=True);time.sleep(60 * late)"
+    )
+    agent = command_agent(ready, says(paid), replace(RULES, cost=3.0), NAMES)
+    view = search_with_process(ready, agent, agent, lambda *_: None, lambda view: None)
+    assert view.stopped is not None
+    assert view.stopped.reason == "cost"
+    # The first one ended above its share, and was not started again on the money of the others.
+    assert [event.grant for event in view.begun] == [1.0, 1.0, 1.0]
+    assert Spent.of(view, ()).cost == pytest.approx(3.45)
+
+
 def command_line(problem: Path, plans: Mapping[str, Sequence[str]]) -> list[str]:
     words = f"{sys.executable} {HERE / 'fake_agent.py'} gemini plan '{json.dumps(plans)}'"
     asia = [sys.executable, "-c", "from asia.interfaces.cli import main; main()"]
