@@ -248,8 +248,8 @@ def command_driver(agent: str, options: CommandOptions, limits: ModelOptions) ->
     from asia.interfaces.coding_agents.session import CommandRules, check_rules, command_agent
     from asia.judge.sandbox.jail import Jail
 
-    said, *others = sorted(agent.split(","), key=lambda part: not part.startswith(PREFIX))
-    name, times, digits = said.removeprefix(PREFIX).partition("*")
+    coding, *others = sorted(agent.split(","), key=lambda part: not part.startswith(PREFIX))
+    name, times, digits = coding.removeprefix(PREFIX).partition("*")
     if not name.replace("-", "").isalnum():
         raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
     count = int(digits) if re.fullmatch(r"[0-9]{1,3}", digits) else int(not times)
